@@ -2,8 +2,8 @@
 
     python .ci/size.py
 
-A token is one of Python's, without comments and docstrings. A commit may raise a ceiling; its
-message says why.
+A token is one of Python's, without comments and docstrings; a string of several lines has as many
+as it has words, since code in strings is code. A commit may raise a ceiling; its message says why.
 """
 
 import ast
@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_250, "benchmarks": 24_980, "tests": 220_000}
-FILES = 239
+TOKENS = {"product": 295_250, "benchmarks": 33_000, "tests": 252_000}
+FILES = 242
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100
@@ -27,13 +27,18 @@ UNCOUNTED = {
 
 def tokens(text: str) -> int:
     """How many tokens a module has, docstrings aside."""
-    said: set[int] = set()
+    docstrings: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Expr(value=ast.Constant(value=str())):
-                said.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
-    found = tokenize.generate_tokens(io.StringIO(text).readline)
-    return sum(one.type not in UNCOUNTED and one.start[0] not in said for one in found)
+                docstrings.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    total = 0
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type in UNCOUNTED or token.start[0] in docstrings:
+            continue
+        is_long = token.type == tokenize.STRING and token.start[0] != token.end[0]
+        total += len(token.string.split()) if is_long else 1
+    return total
 
 
 def texts(folder: str) -> dict[str, str]:

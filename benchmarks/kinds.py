@@ -98,13 +98,12 @@ def show(found: dict[str, dict[str, float]]) -> None:
         )
     print(
         "\n| kind | clearance · visibility · passage, m | dispersion · tortuosity · traversability "
-        "· gap | obstruction · occlusion · turning |\n|---|---|---|---|"
+        "· gap |\n|---|---|---|"
     )
     for kind, row in found.items():
         cells = (
             "{clearance_m:.2f} · {visibility_m:.2f} · {passage_m:.2f} | {dispersion:.2f} · "
-            "{tortuosity:.3f} · {traversability:.2f} · {gap:.2f} | "
-            "{obstruction:.2f} · {occlusion:.2f} · {turning:.3f}"
+            "{tortuosity:.3f} · {traversability:.2f} · {gap:.2f}"
         )
         print(f"| `{kind}` | {cells.format(**row)} |")
 

@@ -3,17 +3,20 @@
     python benchmarks/real.py MAPS                          # docs/results/real.md
     python benchmarks/real.py MAPS --network runs/mine
     python benchmarks/real.py MAPS --recordings LOGS        # logs in LOGS, of `recordings.py`
+    python benchmarks/real.py MAPS --paths --method empty extrude --network columns anywhere
 
 MAPS is a folder with the maps of `places.toml`, which says where each comes from; one that is
 missing is left out, one with other bytes is refused. The paper's sensor looks from free space along
 flights of its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand
-beside them, and logs that are flown in some of the worlds, as `scenegen ingest` reads them.
+beside them, and logs that are flown in some of the worlds, as `scenegen ingest` reads them. With
+--paths, only the last tables of the page are made anew: of what paths meet in the real places.
 """
 
+import operator
 import sys
 import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -44,11 +47,14 @@ from scenegen.model.calibration import denial
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, Truth, rows_of
 from scenegen.model.evaluation.reliability import REGIONS, count, reliability
+from scenegen.model.evaluation.run import MethodResult
 from scenegen.model.evaluation.statistics import brief
 from scenegen.model.inputs import PointScan
 from scenegen.scored import scored_voxels
 
-UNLEARNED = ("extrude", "returns", "conservative")
+UNLEARNED = ("extrude", "returns", "conservative", "empty")
+BASE = "extrude"
+"""The method that others are compared with."""
 NETWORKS = ("columns", "proposed", "occ", "tudf", "anywhere")
 KINDS = ("pillar", "geometric")
 POSES = 48
@@ -56,6 +62,14 @@ POSES = 48
 PLANNERS = {
     "the paper's planner with edges checked": PlanConfig(edge_check=True),
     "the careful planner": CAREFUL,
+}
+PATHS_MARK = "<!-- paths -->"
+"""In the page: below it are the tables of what paths meet."""
+PATH_METRICS = {
+    "hits": "hits",
+    "crossed_hits": "hits in crossed voxels only",
+    "success_blocked": "success, blocked line",
+    "success": "success",
 }
 LOGS = ("pillar", "geb079", "fr_campus")
 """Worlds that logs are flown in."""
@@ -74,6 +88,8 @@ class Options(scoring.Options):
 
     real: Positional[Path | None] = None
     """folder of the maps"""
+    method: Sequence[str] = UNLEARNED
+    """without learning"""
     network: Sequence[str] = NETWORKS
     maps: int = POSES
     trials: int = 400
@@ -81,16 +97,38 @@ class Options(scoring.Options):
     """of each log, metres"""
     recordings: Path | None = None
     """folder of logs as KITTI has them"""
+    paths: bool = False
+    """measure only what paths meet in the real places; the other tables stay"""
 
 
 def main() -> None:
     """Score every place, and write the tables."""
     given = measuring.parse(Options, maps=2, trials=2, length=1, network=["columns"])
-    methods = rows_of(UNLEARNED, given.network)
+    if BASE not in given.method:
+        sys.exit(f"--method: has to name {BASE}, which the others are compared with")
+    methods = rows_of(given.method, given.network)
     with tempfile.TemporaryDirectory() as folder:
-        places = maps_to_complete(given, Path(folder))
-        logs = logs_to_complete(given, Path(folder))
-        publish(given, scored(places, logs, methods, given.trials))
+        if given.paths:
+            places = real_places(given.real, Path(folder), given.maps)
+        else:
+            places = maps_to_complete(given, Path(folder))
+        results = {
+            planner: measured(places, [*methods, Truth()], given.trials, plan)
+            for planner, plan in PLANNERS.items()
+        }
+        paths = [
+            line
+            for planner, by_place in results.items()
+            for marked in (False, True)
+            for line in paths_met(planner, by_place, marked=marked)
+        ]
+        if given.paths:
+            publish(given, paths, PATHS_MARK)
+            return
+        lines = scored(places, logs_to_complete(given, Path(folder)), methods)
+        for planner, by_place in results.items():
+            lines += planned(f"## Success, {planner}, known space marked", by_place)
+        publish(given, [*lines, "", PATHS_MARK, *paths])
 
 
 def maps_to_complete(given: Any, folder: Path) -> dict[str, Dataset]:
@@ -156,9 +194,9 @@ def observed(log: Path, folder: Path) -> list[Seen]:
 
 
 def scored(
-    places: dict[str, Dataset], logs: dict[str, list[Seen]], methods: list[Method], trials: int
+    places: dict[str, Dataset], logs: dict[str, list[Seen]], methods: list[Method]
 ) -> list[str]:
-    """The lines of all tables."""
+    """The lines of the tables of maps."""
     counts: Table = {}
     for name, dataset in places.items():
         samples = maps_in(dataset)
@@ -174,11 +212,7 @@ def scored(
     away = [name for name in places if is_mean(name)] or home
     errors = ((name, [one.ece for one in found.values()]) for name, found in counts.items())
     lines = ious(counts, away) + titled("## Calibration", names, errors)
-    lines += told_apart(counts, names, away, home)
-    for title, plan in PLANNERS.items():
-        results = measured(places, [*methods, Truth()], trials, plan)
-        lines += planned(f"## Success of planning, {title}", results)
-    return lines
+    return lines + told_apart(counts, names, away, home)
 
 
 class Counts(NamedTuple):
@@ -280,9 +314,9 @@ def is_mean(name: str) -> bool:
 
 def planned(title: str, results: Results) -> list[str]:
     """A table of success: a row a place, then by how much all real places together succeed oftener
-    than with the first method, trial by trial. Each map is of a flight of its own, and each place
+    than with the method `BASE`, trial by trial. Each map is of a flight of its own, and each place
     has one world: intervals are over maps."""
-    first, *_ = names = list(next(iter(results.values())).methods)
+    names = list(next(iter(results.values())).methods)
     rows, pairs = [], []
     for place, result in results.items():
         maps = maps_of(result, place)
@@ -293,8 +327,70 @@ def planned(title: str, results: Results) -> list[str]:
             pairs.append((result, maps))
     if pairs:
         trials = sum(len(maps) for _, maps in pairs)
-        rows.append((f"real places, less {first}", [str(trials), *ahead(pairs, first).values()]))
+        rows.append((f"real places, less {BASE}", [str(trials), *ahead(pairs, BASE).values()]))
     return titled(title, ("trials", *names), rows)
+
+
+def leaves_known(method: MethodResult) -> Any:
+    """Whether each trial's path (trials,) meets no obstacle and yet fails: it leads through voxels
+    that the map of the place does not know."""
+    ends = method.values("success") + method.values("hits") + np.isnan(method.values("length"))
+    return ends == 0
+
+
+def paths_met(planner: str, results: Results, *, marked: bool) -> list[str]:
+    """A table of what paths meet in real places.
+
+    Args:
+        planner: Its name.
+        results: Of the bench with this planner.
+        marked: Whether the planner gets unknown voxels of the place as occupied.
+
+    Returns:
+        Lines. The first rows are means over the places of `is_mean`, each place counted once, with
+        Student's t over places; then hits in each place, with intervals over its maps. None where
+        no place is real.
+    """
+    methods: dict[str, dict[str, MethodResult]] = {
+        place: {
+            name: method if marked else method.without_marks
+            for name, method in result.methods.items()
+        }
+        for place, result in results.items()
+        if result.marks_unknown
+    }
+    places = [place for place in methods if is_mean(place)]
+    if not places:
+        return []
+    names = list(methods[places[0]])
+
+    def shares(values: Callable[[MethodResult], Any]) -> Any:
+        """(methods, places): the mean over the trials of each place."""
+        means = [[np.nanmean(values(methods[place][name])) for place in places] for name in names]
+        return np.array(means)
+
+    def over_places(title: str, values: Any, form: str = ".2f") -> tuple[str, list[str]]:
+        """A row of means of values (methods, places)."""
+        return title, ["", *(told(one, range(len(places)), form) for one in values)]
+
+    rows = []
+    for metric, title in PATH_METRICS.items():
+        means = shares(operator.methodcaller("values", metric))
+        rows += [
+            over_places(title, means),
+            over_places(f"{title}, less {BASE}", means - means[names.index(BASE)], "+.2f"),
+        ]
+    rows += [
+        over_places("leaves known space, no hit", shares(leaves_known)),
+        over_places("no path", shares(lambda method: np.isnan(method.values("length")))),
+    ]
+    for place, by_name in methods.items():
+        maps = maps_of(results[place])
+        values = (method.values("hits") for method in by_name.values())
+        cells = (told(one, maps, ".2f", "outcome") for one in values)
+        rows.append((f"hits in {place}", [str(len(maps)), *cells]))
+    marks = "marked" if marked else "not marked"
+    return titled(f"## Paths, {planner}, known space {marks}", ("trials", *names), rows)
 
 
 if __name__ == "__main__":

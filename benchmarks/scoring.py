@@ -83,17 +83,17 @@ def measured(
     return found
 
 
-def publish(given: Any, lines: Sequence[str]) -> None:
-    """Print the tables, and write them to the page; not where they mean nothing."""
+def publish(given: Any, lines: Sequence[str], mark: str = MARK) -> None:
+    """Print the tables, and write them to the page below a mark; not where they mean nothing."""
     print("\n".join(lines))
     if not given.smoke:
-        rewrite(given.page, lines)
+        rewrite(given.page, lines, mark)
 
 
-def rewrite(page: Path, lines: Sequence[str]) -> None:
-    """Write the tables of a page anew; what stands above them stays."""
-    said = page.read_text().partition(MARK)[0] if page.is_file() else f"# {page.stem}\n\n"
-    page.write_text(f"{said}{MARK}\n" + "\n".join(lines) + "\n")
+def rewrite(page: Path, lines: Sequence[str], mark: str = MARK) -> None:
+    """Write the tables of a page below a mark anew; what stands above it stays."""
+    said = page.read_text().partition(mark)[0] if page.is_file() else f"# {page.stem}\n\n"
+    page.write_text(f"{said}{mark}\n" + "\n".join(lines) + "\n")
 
 
 def titled(

@@ -8,7 +8,6 @@ How long training waits for one says `benchmarks/training.py --stream pillar`.
 import itertools
 import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import measuring
@@ -56,7 +55,7 @@ def read(kind: str, count: int, turn: int, **how: Any) -> None:
     samples.close()
 
 
-def ways(given: Options, kind: str, cache: Path) -> dict[str, Callable[[], None]]:
+def ways(given: Options, kind: str) -> dict[str, Callable[[], None]]:
     """What is compared, by name."""
 
     def each(way: Callable[..., None], **how: Any) -> Callable[[], None]:
@@ -67,8 +66,6 @@ def ways(given: Options, kind: str, cache: Path) -> dict[str, Callable[[], None]
         "generate --compact": each(generate),
         "stream, this process": each(read),
         f"stream, {given.workers} workers": each(read, workers=given.workers),
-        "stream, cache written": each(read, cache=cache),
-        "stream, cache read": each(read, cache=cache),
     }
 
 
@@ -76,8 +73,7 @@ def main() -> None:
     """Parse, measure in turn, and print."""
     given = measuring.parse(Options, kind=["pillar"], samples=8, rounds=1, workers=1)
     for kind in given.kind:
-        with tempfile.TemporaryDirectory() as cache:
-            medians = measuring.in_turn(ways(given, kind, Path(cache)), given.rounds)
+        medians = measuring.in_turn(ways(given, kind), given.rounds)
         print(f"\n{kind}: ms a sample, CPU (ratio to generate) and wall; medians of {given.rounds}")
         base = medians["generate --compact"].processor
         for name, (wall, cpu) in medians.items():

@@ -52,7 +52,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
         top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
         assert {
             "lidarsim/sensors/catalogue.toml",
-            "scenegen/display/exchange/messages/VoxelGrid.msg",
+            "scenegen/logs/definitions/PointCloud2.msg",
             "scenegen/model/weights/proposed.safetensors",
             "scenegen/py.typed",
         } <= set(archive.namelist())

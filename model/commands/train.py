@@ -105,7 +105,7 @@ class Weighted(click.ParamType):
 )
 @options_of(
     TrainConfig,
-    maps="The budget in maps seen, instead of --epochs; may be raised later.",
+    maps="The budget in maps seen, instead of --epochs.",
     epochs="The budget in passes over the datasets.",
     interval="Maps between two validations, instead of a pass.",
     batch="Maps a step, on all devices together.",

@@ -39,7 +39,7 @@ from scenegen.model.training.device import (
     device_name,
     resolve_precision,
 )
-from scenegen.model.training.run_folder import CONFIG, LEVEL, Progress, RunFolder
+from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
 from scenegen.run.software import commit, installed, software
 
 RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
@@ -123,8 +123,6 @@ def train(
             read = load(maps, mine, workers=workers, pinned=where.type == "cuda")
             with closing(read):
                 for step, batch, tensors in zip(steps[done:], batches, read, strict=False):
-                    if step == course.latest_decay and progress.decay is None:
-                        folder.save(progress, LEVEL)  # a larger budget begins here
                     # a user's own network may draw, as dropout does
                     torch.manual_seed(config.seed + step * group.size + group.rank)
                     losses = learn(tensors, course.rate(step, progress.decay))

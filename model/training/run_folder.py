@@ -9,7 +9,6 @@ import os
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import torch
@@ -25,13 +24,11 @@ from scenegen.model.checkpoint import CheckpointError, load_tensors, save_networ
 from scenegen.model.training.card import Scalars, card, draw, read_rows
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
-BEST, LAST, LEVEL = "best.safetensors", "last.safetensors", "level.safetensors"
-FILES = (ROWS, CURVE, CARD, BEST, LAST, LEVEL)
+BEST, LAST = "best.safetensors", "last.safetensors"
+FILES = (ROWS, CURVE, CARD, BEST, LAST)
 """What a run writes, and replaces, in a folder with its `CONFIG`."""
 SAVE_EVERY_S = 60.0
 """How much work a kill may cost, seconds."""
-BUDGETS = ("epochs", "maps")
-"""Settings that may grow while all others stay."""
 
 
 @dataclass
@@ -91,12 +88,11 @@ class RunFolder:
         self._learns: tuple[nn.Module, torch.optim.Optimizer]
 
     def open(self, settings: Json) -> None:
-        """Begin a run with `settings`, or go on with the one that was begun with them, or with a
-        smaller budget: where its learning rate had begun to fall, it goes on from there, and its
-        best network is kept under another name.
+        """Begin a run with `settings`, or continue the one that was begun with them.
 
-        Raises DatasetError where the folder holds a run with other settings, one whose validation
-        stalled, where a larger budget is asked for, or one that another process works on.
+        Raises:
+            DatasetError: if the folder holds a run with other settings, or one that another process
+                works on.
         """
         with disk_told(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
@@ -110,31 +106,13 @@ class RunFolder:
         except OSError:  # a file system without locks
             pass
         remove_drafts(self.path)
-        config, grows = self.path / CONFIG, False
+        config = self.path / CONFIG
         if config.exists():
-            there, asked = self.settings(), plain(settings["settings"])
-            if grows := _grows(there, asked):
-                there |= {name: asked[name] for name in BUDGETS}
-            check_settings(self.path, there, asked)
-            best, level, last = (self.path / name for name in (BEST, LEVEL, LAST))
-            if grows and level.exists():  # where the learning rate began to fall
-                if best.exists():
-                    best.replace(self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors")
-                level.replace(last)
-            elif grows and last.exists() and load_tensors(last)[1].get("decay") is not None:
-                raise DatasetError(
-                    f"{self.path}: validation stalled before the budget was used, so a larger one "
-                    f"changes nothing; give --weights {self.path} and another --out"
-                )
-        elif odd := next((name for name in FILES if (self.path / name).exists()), None):
+            check_settings(self.path, self.settings(), plain(settings["settings"]))
+            return
+        if odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
-        if not config.exists() or grows:
-            write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
-
-    def clear(self) -> None:
-        """Remove the run, so that it can begin again; what else lies there stays."""
-        for name in (*FILES, CONFIG):
-            (self.path / name).unlink(missing_ok=True)
+        write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
 
     def close(self) -> None:
         """Let other processes work on the run."""
@@ -151,7 +129,7 @@ class RunFolder:
                 f"--out"
             ) from None
 
-    def save(self, progress: Progress, name: str = LAST) -> None:
+    def save(self, progress: Progress) -> None:
         """Write all that is needed to go on from here, of what `restore` was given."""
         if not self._writes:
             return
@@ -161,7 +139,7 @@ class RunFolder:
             for one, parameter in network.named_parameters()
             for key, value in optimizer.state.get(parameter, {}).items()
         }
-        save_tensors(self.path / name, state, asdict(progress))
+        save_tensors(self.path / LAST, state, asdict(progress))
         self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:
@@ -257,13 +235,6 @@ def check_settings(path: Path, there: Json, asked: Json) -> None:
             f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
             "those, or another --out"
         )
-
-
-def _grows(there: Json, asked: Json) -> bool:
-    """Whether `asked` is a larger budget of the settings `there`, of a run that can grow."""
-    of = there["maps"], asked["maps"]
-    old, new = (there["epochs"], asked["epochs"]) if of == (None, None) else of
-    return asked["schedule"] != "cosine" and None not in (old, new) and bool(new > old)
 
 
 FACTS = (

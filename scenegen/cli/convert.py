@@ -27,7 +27,7 @@ from scenegen.run import Executor
 
 @command(
     "convert data/pillar --to ply",
-    "convert data/pillar --to mcap --split val",
+    "convert data/pillar --to rerun --split val",
 )
 @dataset_argument
 @click.option(

@@ -284,8 +284,5 @@ TITLES = {
     "tortuosity": ("length of the path out, of that without obstacles", ""),
     "traversability": ("mean way to an obstacle", "robot diameters"),
     "gap": ("mean width of passages", "robot diameters"),
-    "obstruction": ("how narrow the path out is", ""),
-    "occlusion": ("how near obstacles are ahead on the path out", ""),
-    "turning": ("corners of the path out", "per metre"),
 }
 """Statistics of a sample: what they are called, and their unit; shares are told in %."""

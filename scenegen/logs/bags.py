@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
-from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
 from scenegen.logs.frames import Links, seconds
+from scenegen.logs.messages import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.logs.times import PointClock, RawTimes, time_fields
 
 RECORDINGS = (".mcap", ".bag", ".db3")

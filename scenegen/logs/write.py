@@ -10,15 +10,15 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from scenegen.display.exchange.files import encode_points
-from scenegen.display.exchange.recordings import (
+from scenegen.files import check_free, make_way, whole, whole_folder
+from scenegen.logs import LogScan
+from scenegen.logs.messages import (
     CLOUD,
     TRANSFORMS,
     Row,
     points_message,
     write_messages,
 )
-from scenegen.files import check_free, make_way, whole, whole_folder
-from scenegen.logs import LogScan
 from scenegen.run import Counted, unheard
 
 FRAME, SENSOR = "map", "lidar"

@@ -1,24 +1,18 @@
-"""Units of a stream made before they are asked for: by worker processes, packed small, and kept in
-a folder."""
+"""Units of a stream made before they are asked for, by worker processes, and packed small."""
 
 import contextlib
-import hashlib
 import math
 import multiprocessing.connection
 import os
-import struct
 import weakref
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import isal.isal_zlib
 import numpy as np
 
-from scenegen.errors import DatasetError, GenerationError, raised_as
-from scenegen.files import make_way, read_bounded, write_whole
+from scenegen.errors import GenerationError
 from scenegen.run.workers import MOST_REPLACED, Worker
 from scenegen.sample import FIELDS, Sample, Schema
 from scenegen.truth import distance_field
@@ -61,13 +55,8 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
 
 
 def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
-    """The sample of a record; arrays of its own, which may be written to. Raises ValueError for
-    bytes that are none."""
-    with raised_as(ValueError, "cannot be unpacked: ", of=isal.isal_zlib.error):
-        content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
-    if len(content) != kind.itemsize:
-        raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
-    record = np.frombuffer(content, kind)[0]
+    """The sample of a record; arrays of its own, which may be written to."""
+    record = np.frombuffer(isal.isal_zlib.decompress(packed), kind)[0]
 
     def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
@@ -79,71 +68,6 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
         return value.item() if FIELDS[name]["axes"] == "" else value.copy()
 
     return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=schema.grid)
-
-
-HEAD = b"scenegen unit 2\n"
-"""The number is raised whenever records change. Units of 1 held labels as bits."""
-IN_FOLDER = 1000
-"""Units in a folder."""
-MOST_UNIT_BYTES = 1 << 30
-"""A larger file is no unit's: of default maps, one has a few hundred kilobytes."""
-
-
-@dataclass(frozen=True)
-class Cache:
-    """The units of one component.
-
-    A file holds `HEAD`, a SHA-256 of what follows and of whose unit it is, and the records, each
-    after its length. So a file that is cut off, changed, or another unit's under this name counts
-    as absent. Raises DatasetError for a folder that is a file.
-    """
-
-    folder: Path
-    owner: str
-    """A digest of all that the units depend on, versions of software included."""
-    split: str
-
-    def __post_init__(self) -> None:
-        if self.folder.exists() and not self.folder.is_dir():
-            raise DatasetError(
-                f"{self.folder}: is a file, expected a folder for the cache; choose another one"
-            )
-
-    def unit(self, number: int, make: Callable[[], Unit]) -> Unit:
-        """The records of a unit: those on disk, else what `make` gives, which then is on disk.
-
-        Raises DatasetError where the disk refuses, and what `make` raises.
-        """
-        path = self.path(number)
-        # of what is too large, or no file at all, writing says what to do
-        with contextlib.suppress(FileNotFoundError, ValueError, DatasetError):
-            return self._parse(read_bounded(path, MOST_UNIT_BYTES), number)
-        records = make()
-        make_way(path)
-        body = b"".join(struct.pack("<I", len(record)) + record for record in records)
-        write_whole(path, HEAD + self._sum(body, number) + body)
-        return records
-
-    def path(self, number: int) -> Path:
-        """Where a unit lies."""
-        group, rest = divmod(number, IN_FOLDER)
-        return self.folder / self.owner[:16] / f"{self.split}-{group:07d}" / f"{rest:03d}.unit"
-
-    def _parse(self, content: bytes, number: int) -> Unit:
-        """The records in a file. Raises ValueError for one that is not as it was written."""
-        start = len(HEAD) + hashlib.sha256().digest_size
-        body = content[start:]
-        if content[:start] != HEAD + self._sum(body, number):
-            raise ValueError("damaged")
-        records, at = [], 0
-        while at < len(body):
-            (length,) = struct.unpack_from("<I", body, at)
-            records.append(body[at + 4 : at + 4 + length])
-            at += 4 + length
-        return tuple(records)
-
-    def _sum(self, body: bytes, number: int) -> bytes:
-        return hashlib.sha256(f"{self.owner} {self.split} {number} ".encode() + body).digest()
 
 
 class Ahead:

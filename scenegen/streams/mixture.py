@@ -55,13 +55,9 @@ class Component(Units):
         """Samples of a unit."""
         return self.recipe.flight.viewpoints
 
-    def described(self, *, software: bool) -> Json:
+    def described(self) -> Json:
         """What decides the samples, as plain JSON values: a manifest's parameters without counts,
-        and with the split.
-
-        `software` adds what they are computed with: versions, and the engine, of which one's own
-        may give others.
-        """
+        software and engine, and with the split."""
         given = manifest.parameters(
             self.recipe,
             self.source,
@@ -69,15 +65,14 @@ class Component(Units):
             counts=dict.fromkeys(SPLITS, 0),
             engine=self.engine,
         )
-        left_out = {"counts", "fields", "shard_samples"}
-        left_out |= set() if software else {"software", "engine"}
+        left_out = {"counts", "fields", "shard_samples", "software", "engine"}
         return {"split": self.split} | {
             name: value for name, value in given.items() if name not in left_out
         }
 
-    def fingerprint(self, *, software: bool) -> str:
+    def fingerprint(self) -> str:
         """A digest of `described`."""
-        return manifest.fingerprint(self.described(software=software))
+        return manifest.fingerprint(self.described())
 
 
 def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
@@ -221,7 +216,7 @@ def _check_alike(components: Sequence[Component]) -> None:
                     f"stream: the {what} of {component.label} is {theirs}, that of {first.label} "
                     f"is {ours}; a stream has one {what}: mix recipes that share it"
                 )
-        digest = component.fingerprint(software=False)
+        digest = component.fingerprint()
         if digest in seen:
             raise RecipeError(
                 f"stream: {component.label} is there twice, as {seen[digest]}; name it once, and "

@@ -20,8 +20,7 @@ from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema, rng_of
 from scenegen.source import DrawnWorlds
-from scenegen.stores import is_remote
-from scenegen.streams.ahead import Ahead, Cache, Slot, Unit, pack, record_type, unpack
+from scenegen.streams.ahead import Ahead, Slot, Unit, pack, record_type, unpack
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 from scenegen.worlds.mapping import Sensing
 
@@ -55,14 +54,13 @@ class Stream(Samples):
         split: str,
         samples: int,
         workers: int,
-        cache: Path | str | None,
     ):
         self.seed, self.split = seed, split
         self.workers = whole_number("stream: workers =", workers, 0, MOST_WORKERS)
         self.mixture = mixture
         self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
         parts = [
-            {"drawn": part.described(software=False), "units": units}
+            {"drawn": part.described(), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
         ]
         self.digest = sha256_of(json.dumps(parts, sort_keys=True).encode())
@@ -80,13 +78,7 @@ class Stream(Samples):
         self.mapping = first.mapping
         self._schemas = [schema_of(part.recipe) for part in mixture.components]
         self._records = [record_type(schema) for schema in self._schemas]
-        if is_remote(cache):
-            raise DatasetError(f"stream: cache = {cache}: expected a folder on this machine")
-        caches = [
-            Cache(Path(str(cache)), part.fingerprint(software=True), part.split)
-            for part in (mixture.components if cache is not None else ())
-        ]
-        self._make = partial(_unit_of, mixture.components, caches, self._records)
+        self._make = partial(_unit_of, mixture.components, self._records)
         self._forget()
 
     def __len__(self) -> int:
@@ -186,21 +178,10 @@ class Stream(Samples):
         return unit
 
 
-def _unit_of(
-    components: Sequence[Component],
-    caches: Sequence[Cache],
-    records: Sequence[np.dtype],
-    slot: Slot,
-) -> Unit:
-    """The unit of a slot, in whatever process: from its part's cache, where there are any, or
-    drawn. Raises GenerationError, and DatasetError where the cache's disk refuses."""
+def _unit_of(components: Sequence[Component], records: Sequence[np.dtype], slot: Slot) -> Unit:
+    """Draw the unit of a slot, in whatever process. Raises GenerationError."""
     part, unit = slot
-
-    def drawn() -> Unit:
-        samples = components[part].draw(unit).samples
-        return tuple(pack(sample, records[part]) for sample in samples)
-
-    return caches[part].unit(unit, drawn) if caches else drawn()
+    return tuple(pack(sample, records[part]) for sample in components[part].draw(unit).samples)
 
 
 class Place:
@@ -326,7 +307,6 @@ def stream(
     split: str = "train",
     samples: int = 10**9,
     workers: int = 0,
-    cache: str | Path | None = None,
     engine: str = DEFAULT,
 ) -> Stream:
     """Samples by number, drawn when asked for: the first n are those that `scenegen.generate`
@@ -341,7 +321,6 @@ def stream(
             seeded with its split.
         samples: The stream's `len`.
         workers: Processes that draw ahead of need; 0 draws in the process that asks.
-        cache: A folder that keeps what was drawn.
         engine: Name of the engine that casts the rays.
 
     Raises:
@@ -357,7 +336,7 @@ def stream(
         for one, its, (what, _) in zip(components, own, parts, strict=True)
     ]
     mixture = Mixture(components, [weight for _, weight in parts])
-    return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
+    return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers)
 
 
 def _unmixed(what: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:

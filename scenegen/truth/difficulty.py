@@ -2,9 +2,8 @@
 
 The five figures of BARN (Perille et al. 2020, arXiv 2008.13315), which are planar there, in three
 dimensions and around the map's middle, where the sensor is unless a recipe puts the map elsewhere;
-the traversability and the relative gap size of AvoidBench (Yu et al. 2023, arXiv 2301.07430); and
-FlightBench's three (`scenegen.truth.guides`). All are exact for the voxels: nothing is sampled at
-random.
+and the traversability and the relative gap size of AvoidBench (Yu et al. 2023, arXiv 2301.07430).
+All are exact for the voxels: nothing is sampled at random.
 """
 
 import functools
@@ -16,7 +15,6 @@ import numpy as np
 
 from lidarsim.grid import Field, Floats, Ints, Mask, Vector
 from lidarsim.jit import kernel
-from scenegen.truth.guides import hardness
 from scenegen.truth.search import explore
 
 STEP_M = 0.6
@@ -55,15 +53,6 @@ class Difficulty(NamedTuple):
     gap: float
     """Mean over the free nodes of the shortest way from obstacle to obstacle through the node, of
     those along the four level axes, in diameters of the robot; map edges count as obstacles."""
-    obstruction: float
-    """FlightBench's TO along the ways out: half the sensing range times the mean of 1 / radius over
-    the narrower half of the spheres of the corridor."""
-    occlusion: float
-    """Its VO: mean over the looks along the ways of the sensing range over the distance of the
-    nearest obstacle, cone by cone, weighed by `scenegen.truth.guides.WEIGHTS`."""
-    turning: float
-    """Its AOL: the sum of exp(2 θ / π) − 1 over the ways' corners, whose angle is θ, over their
-    length, per metre."""
 
 
 def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
@@ -76,19 +65,16 @@ def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
     """
     centre, step = np.array(occupancy.shape) // 2, max(round(STEP_M / voxel_m), 1)
     if occupancy[tuple(centre)]:
-        return Difficulty(0.0, *[math.nan] * 9)
-    length, _ = _ways_out(occupancy, centre, step)
-    guides = _guides(*_ways_out(occupancy | (tudf < BODY_M / 2), centre, step))
-    paths = [centre + step * (nodes - centre // step) for nodes in guides]
-    tortuosity = _tortuosity(length, centre // step)
-    return _measured(centre[None], step, tortuosity, paths, occupancy, tudf, voxel_m)
+        return Difficulty(0.0, *[math.nan] * 6)
+    tortuosity = _tortuosity(_ways_out(occupancy, centre, step), centre // step)
+    return _measured(centre[None], step, tortuosity, occupancy, tudf, voxel_m)
 
 
 def way_difficulty(
     way: Ints, tortuosity: float, occupancy: Mask, tudf: Field, voxel_m: float
 ) -> Difficulty:
     """The figures of a way through a map: those that are of the map's middle otherwise are means
-    along the way, and FlightBench's three are of this way alone.
+    along the way.
 
     Args:
         way: Its voxels (n, 3), each free and next to the one before, at least two.
@@ -99,26 +85,23 @@ def way_difficulty(
         voxel_m: Edge of a voxel, metres.
     """
     step = max(round(STEP_M / voxel_m), 1)
-    return _measured(way[::step], step, tortuosity, [way], occupancy, tudf, voxel_m)
+    return _measured(way[::step], step, tortuosity, occupancy, tudf, voxel_m)
 
 
 def _measured(
     stops: Ints,
     step: int,
     tortuosity: float,
-    paths: list[Ints],
     occupancy: Mask,
     tudf: Field,
     voxel_m: float,
 ) -> Difficulty:
-    """The figures around the voxels `stops` (n, 3), as means, on the lattice of the first, and
-    along `paths`."""
+    """The figures around the voxels `stops` (n, 3), as means, on the lattice of the first."""
     around = np.mean([_around(occupancy, stop, voxel_m) for stop in stops], axis=0)
     ways = _mean_ways(occupancy, stops[0], step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
     level = (float(way) * voxel_m / BODY_M for way in ways)
     clearance = float(tudf[tuple(stops.T)].mean())
-    hard = hardness(paths, occupancy, tudf, voxel_m)
-    return Difficulty._make([clearance, *around.tolist(), tortuosity, *level, *hard])
+    return Difficulty._make([clearance, *around.tolist(), tortuosity, *level])
 
 
 def _around(occupancy: Mask, place: Ints, voxel_m: float) -> Vector:
@@ -138,18 +121,6 @@ def _neighbours() -> tuple[Ints, Ints]:
     products = (DIRECTIONS[:, None] * DIRECTIONS[None]).sum(axis=2)
     near, far = np.nonzero(products >= (math.sqrt(0.5) - 1e-9) * length[:, None] * length[None])
     return near[near < far], far[near < far]
-
-
-def _guides(length: Floats, before: Ints) -> list[Ints]:
-    """Nodes (n, 3) from the start to the nearest node of each lateral face that can be reached."""
-    found, numbers = [], np.arange(length.size).reshape(length.shape)
-    for axis, side in itertools.product((0, 1), (0, -1)):
-        nodes = [int(numbers.take(side, axis).flat[length.take(side, axis).argmin()])]
-        while (node := int(before.flat[nodes[-1]])) >= 0:
-            nodes.append(node)
-        if len(nodes) > 1:  # it is neither the start nor out of reach
-            found.append(np.stack(np.unravel_index(nodes[::-1], length.shape), axis=1))
-    return found
 
 
 @kernel
@@ -188,14 +159,14 @@ def _mean_ways(occupancy, middle, step, directions):
     return (total / count, gaps / count) if count else (np.nan, np.nan)
 
 
-def _ways_out(occupancy: Mask, middle: Ints, step: int) -> tuple[Floats, Ints]:
+def _ways_out(occupancy: Mask, middle: Ints, step: int) -> Floats:
     """The length of the shortest way from the middle to every node of its lattice through free
-    voxels, in steps, and the node before it on the way; infinite and -1 for none."""
+    voxels, in steps; infinite for none."""
     first, start = middle % step, middle // step
     counts = (np.array(occupancy.shape) - 1 - first) // step + 1
     # a wall may stand between two nodes
-    length, before, _ = explore(occupancy, first, counts, step, start, None, True, None, 0.0)
-    return length.reshape(counts), before.reshape(counts)
+    length, *_ = explore(occupancy, first, counts, step, start, None, True, None, 0.0)
+    return length.reshape(counts)
 
 
 def _tortuosity(length: Floats, start: Ints) -> float:

@@ -61,7 +61,7 @@ rehearsal → N requests
 sensors   → livox-avia +N ms a sample
 sensors   → map ahead +N ms a sample
 stream    → generate --compact +N \(1\.00\) +N
-stream    → cache read +N \(N\) +N
+stream    → 1 workers +N \(N\) +N
 study {STUDY} --out out → out/(c)laims\.png
 study {STUDY} --out out → out/(l)earning\.png
 training {DATA} → loader, one process: N samples/s

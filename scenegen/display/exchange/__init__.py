@@ -21,7 +21,6 @@ FORMATS = Registry(
         "pcd": f"{FILES}:Pcd",
         "octomap": f"{FILES}:OctoMap",
         "webdataset": f"{FILES}:WebDataset",
-        "mcap": f"{RECORDINGS}:Mcap",
         "rerun": f"{RECORDINGS}:Rerun",
     },
     needs={

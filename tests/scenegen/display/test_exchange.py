@@ -303,9 +303,9 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     for other, choices in ((to, {"label": 70}), ("ply", {})):
         with pytest.raises(DatasetError, match="another command"):
             converted(made, out, other, **choices)
-    monkeypatch.setitem(sys.modules, "mcap_ros2", None)
+    monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ModuleNotFoundError):
-        converted(made, tmp_path / "lost", "mcap")
+        converted(made, tmp_path / "lost", "rerun")
     assert not (tmp_path / "lost").exists()
 
 
@@ -360,64 +360,11 @@ def test_webdataset_s_own_loader_finds_every_sample(made, tmp_path, monkeypatch)
     assert contents(out) == contents(again)
 
 
-def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made, tmp_path):
-    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
-    ros2 = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
-    out = converted(made, tmp_path / "out", "mcap")
-    samples, grid = Dataset(made).split("val"), Dataset(made).grid
-    seen = set()
-    with open(out / "val-000000.mcap", "rb") as file:
-        factories = [ros2.DecoderFactory()]
-        read = reader.make_reader(file, decoder_factories=factories, validate_crcs=True)
-        for schema, channel, message, decoded in read.iter_decoded_messages():
-            number, topic = message.sequence, channel.topic[1:]
-            seen.add((number, topic))
-            sample = samples[number]
-            if topic == "map":
-                assert (decoded.timestamp.sec, decoded.frame_id) == (number, "world")
-                assert schema.name == "foxglove_msgs/msg/VoxelGrid"
-                check_as_foxglove_reads_it(decoded, sample, grid)
-                continue
-            assert (decoded.header.stamp.sec, decoded.header.frame_id) == (number, "world")
-            if topic == "pose":
-                at, turned = decoded.pose.position, decoded.pose.orientation
-                assert (at.x, at.y, at.z) == tuple(sample.position)
-                assert (turned.w, turned.x, turned.y, turned.z) == tuple(sample.quaternion)
-                continue
-            assert schema.name == "sensor_msgs/msg/PointCloud2"
-            fields = [(one.name, one.offset, one.datatype, one.count) for one in decoded.fields]
-            assert fields == [("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1)]
-            points = np.frombuffer(bytes(decoded.data), "<f4").reshape(decoded.width, 3)
-            assert decoded.row_step == decoded.point_step * decoded.width == len(decoded.data)
-            assert_array_equal(points, shown(sample, topic, grid))
-    assert seen == {
-        (n, topic) for n in range(len(samples)) for topic in (*MASKS, "scan", "map", "pose")
-    }
-
-
 def shown(sample, name, grid):
     """The scan, or the centres of a mask's voxels."""
     centres = grid.centres(sample.origin)
     found = sample.points() if name == "scan" else centres[getattr(sample, name)]
     return found.astype(np.float32)
-
-
-def check_as_foxglove_reads_it(found, sample, grid):
-    """Where the cell of a byte lies is as https://docs.foxglove.dev/docs/sdk/schemas/voxel-grid
-    says."""
-    data = bytes(found.data)
-    fields = [(one.name, one.offset, one.type) for one in found.fields]
-    assert fields == [(name, n, 1) for n, name in enumerate(MASKS)]
-    assert (found.column_count, found.row_count) == grid.shape[:2]
-    assert len(data) == found.slice_stride * grid.shape[2]
-    corner = found.pose.position
-    assert (corner.x, corner.y, corner.z) == tuple(sample.origin)
-    assert found.pose.orientation.w == 1
-    assert {found.cell_size.x, found.cell_size.y, found.cell_size.z} == {grid.voxel_m}
-    strides = found.cell_stride, found.row_stride, found.slice_stride
-    for field in found.fields:
-        cells = np.ndarray(grid.shape, np.uint8, data, field.offset, strides)
-        assert_array_equal(cells, getattr(sample, field.name))
 
 
 RERUN = """

@@ -78,7 +78,7 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
     pytest.importorskip("mcap_ros2")
     from mcap_ros2.writer import Writer
 
-    from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS
+    from scenegen.logs.messages import CLOUD, DEFINITIONS
 
     sent = []
     kinds = {}

@@ -17,13 +17,13 @@ from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import MID_360
 from scenegen.display.exchange.files import write_points
-from scenegen.display.exchange.recordings import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud
 from scenegen.logs.frames import Links
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log
+from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, record
 from scenegen.logs.times import find_clock

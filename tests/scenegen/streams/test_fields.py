@@ -94,6 +94,3 @@ def test_streams_give_every_field_as_generate_stores_it(group, tmp_path, monkeyp
             for one in batch
         ]
     )
-    check(list(streamed(cache=tmp_path / "cache")))
-    monkeypatch.setattr(Component, "draw", never)
-    check(list(streamed(cache=tmp_path / "cache")))

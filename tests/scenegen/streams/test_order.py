@@ -34,7 +34,7 @@ def drawn(seed, most, parts):
 
 def mixed(weights, samples=10**6):
     mixture = Mixture([COMPONENTS[count] for count in weights], list(weights.values()))
-    return Stream(mixture, seed=0, split="train", samples=samples, workers=0, cache=None)
+    return Stream(mixture, seed=0, split="train", samples=samples, workers=0)
 
 
 @pytest.mark.parametrize("seed", range(15))

@@ -152,33 +152,6 @@ def test_a_stream_that_nobody_closes_ends_without_a_word():
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
 
 
-def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, monkeypatch):
-    recipe, cache = small_recipe(), tmp_path / "cache"
-    expected = scenegen.stream(recipe)[:6]
-
-    def check():
-        assert all(map(same, scenegen.stream(recipe, cache=cache)[:6], expected))
-
-    check()
-    with monkeypatch.context() as patched:
-        patched.setattr(Component, "draw", never)
-        check()
-        with pytest.raises(AssertionError):
-            scenegen.stream(recipe, seed=1, cache=cache)[0]
-    first, second = sorted(cache.rglob("*.unit"))
-    content = first.read_bytes()
-    flipped = content[:-1] + bytes([content[-1] ^ 1])
-    older = content.replace(b"unit 2", b"unit 1", 1)  # whose labels were bits
-    for wrong in (b"", content[:-1], content + b"\0", flipped, second.read_bytes(), older):
-        first.write_bytes(wrong)
-        check()
-        assert first.read_bytes() == content
-    first.unlink()
-    first.mkdir()
-    with pytest.raises(DatasetError, match="is not a regular file"):
-        check()
-
-
 FOREST = SCENES / "forest.xml"
 WRONG = """
 "pilar"                          → {}                  → unknown kind 'pilar'.*'pillar'
@@ -188,8 +161,6 @@ WRONG = """
 {"pillar": NaN}                  → {}                  → weight of pillar = nan
 {"pillar": 1e-9, "geometric": 1} → {}                  → come round after 1000000001 flights
 "pillar"                         → {"engine": "cuda3"} → cuda3
-"pillar"                         → {"cache": "/dev/null"} → expected a folder for the cache
-"pillar"                         → {"cache": "s3://a/b"} → s3://a/b: expected a folder on this
 "absent.xml"                     → {}                  → no such file
 """
 WRONG = [(json.loads(asked), json.loads(options), said) for asked, options, said in rows(WRONG)]
