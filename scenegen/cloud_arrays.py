@@ -130,7 +130,8 @@ def _has_intensity(table: NDArray[np.float32]) -> bool:
 
     def bounded(column: NDArray[np.float32]) -> bool:
         shares = ((column >= 0) & (column <= 1)).all()
-        return bool(shares or np.isin(column, np.arange(256)).all())
+        whole = (column >= 0) & (column <= 255) & (column == np.floor(column))
+        return bool(shares or whole.all())
 
     return bounded(table[:, 3]) and not all(map(bounded, table[:, :3].T))
 
@@ -206,10 +207,15 @@ def _is_turned(shape: tuple[int, ...], columns: int | None, shown: str) -> bool:
 
 
 def read_xyz(content: bytes) -> Table:
-    """Text: x, y and z are the first numbers of each line."""
+    """Text: x, y and z are the first numbers of each line, unless its first line names others."""
+    head, _, rest = content.partition(b"\n")
+    words = head.decode("latin-1").lower().replace(",", " ").strip("#/ \r").split()
+    columns = [0, 1, 2]
+    if set(words) >= set("xyz"):
+        columns, content = [words.index(axis) for axis in "xyz"], rest
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
-    points = text_numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
+    points = text_numbers(content.replace(b",", b" "), columns, MOST_POINTS + 1)
     return points, "x y z (.xyz, text)"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
+from scenegen.clouds import check_scan
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
 from scenegen.logs.frames import Links, seconds
@@ -128,6 +129,7 @@ class Recording:
 
     def _read_points(self, kind: str, data: bytes, clock: PointClock | None) -> Points:
         cloud = self._read(kind, data)
+        check_scan(cloud.points, np.zeros(3), f"{self._path}: cloud at {cloud.times.stamp_s:.14g} s")
         times_s = clock.seconds(cloud.times) if clock else None
         return cloud.points, {} if times_s is None else {"t": times_s}
 

@@ -116,6 +116,14 @@ def test_a_single_row_may_leave_out_its_length(tmp_path):
     assert scans[3].points[0] == pytest.approx(truth[3][0], abs=1e-6)
 
 
+def test_points_that_no_sensor_returns_are_refused(tmp_path):
+    bag, _ = drive()
+    bag.cloud(BEGIN_S + 6 * PERIOD_S, [[3e5, 0, 0], [1, 2, 3]])
+    scans = read_log(moving(bag).write(tmp_path / "bag")).scans()
+    with pytest.raises(DatasetError, match=r"cloud at 1700000000\.6 s: 1 of 2 points lie up to"):
+        list(scans)
+
+
 def tum(n):
     """The line of TUM's for the pose of `drive` at scan n."""
     return f"{BEGIN_S + PERIOD_S * n:.3f} {SPEED_MPS * PERIOD_S * n} 0 0 0 0 0 1\n"
