@@ -68,8 +68,7 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     numbers as which other types read. And columns differ: heights from ways, intensities from both.
     Read with another number of columns, each column mixes all, and they are alike. The measure is
     the share of the variance of ranks, of the numbers and of their amounts, that lies between
-    columns. Where one number of columns alone divides the file, it need not be seen; where the
-    measure does not tell, a bounded fourth column is KITTI's intensity.
+    columns. Where one number of columns alone divides the file, it need not be seen.
 
     Args:
         values: The whole file, (n,).
@@ -89,10 +88,6 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     count = _best_fit(fits, len(values))
     if count is None and usual in fits:
         count = usual
-    if count is None and KITTI in fits and _has_intensity(values.reshape(-1, KITTI)):
-        # unless another one fits better than by chance
-        better = max(fits.values()) - fits[KITTI] > _chance(KITTI, len(values))
-        count = None if better else KITTI
     if fits and count is None:
         choices = " or ".join(map(str, fits))
         raise ValueError(f"may have {choices} columns, and its numbers do not tell; {HELP}")
@@ -112,28 +107,10 @@ def _best_fit(fits: Mapping[int, float], size: int) -> int | None:
     best = max(fits.values())
     count = min(count for count, fit in fits.items() if fit >= SAME_FIT * best)
     others = [fit for other, fit in fits.items() if other % count]
-    chance = _chance(count, size)
+    # what columns that are alike do not reach: their fit times the numbers is chi squared
+    chance = (count - 1 + CHANCES * (2 * count - 2) ** 0.5) / min(size, BLOCK * MAX_BLOCKS)
     clear = best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance
     return count if clear else None
-
-
-def _chance(count: int, size: int) -> float:
-    """What columns that are alike do not reach: their fit times the numbers is distributed as chi
-    squared."""
-    freedom = count - 1
-    return float((freedom + CHANCES * (2 * freedom) ** 0.5) / min(size, BLOCK * MAX_BLOCKS))
-
-
-def _has_intensity(table: NDArray[np.float32]) -> bool:
-    """Whether the last column of rows (N, 4), and not all others, may be intensities: from 0 to 1,
-    or whole numbers to 255."""
-
-    def bounded(column: NDArray[np.float32]) -> bool:
-        shares = ((column >= 0) & (column <= 1)).all()
-        whole = (column >= 0) & (column <= 255) & (column == np.floor(column))
-        return bool(shares or whole.all())
-
-    return bounded(table[:, 3]) and not all(map(bounded, table[:, :3].T))
 
 
 def _plausible(table: NDArray[np.float32]) -> bool:
@@ -182,8 +159,8 @@ def _table(array: NDArray[Any], columns: int | None, kind: str) -> Table:
         return array, kind
     shape = f"{len(array)} × {array.shape[1]}"
     turned = _is_turned(array.shape, columns, shape)
-    taken = f"x y z ({kind}, {shape} {array.dtype}{', one column a point' * turned})"
-    return (array.T if turned else array)[:, :3], taken
+    points = array.T if turned else array
+    return points[:, :3], f"x y z ({kind}, {points.shape[1]} {'rows' if turned else 'columns'})"
 
 
 def _is_turned(shape: tuple[int, ...], columns: int | None, shown: str) -> bool:

@@ -12,7 +12,7 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
 from scenegen.clouds import KITTI_FOLDER, READERS, check_scan, read_cloud, read_points, scans_in
-from scenegen.errors import DatasetError, raised_as
+from scenegen.errors import DatasetError
 from scenegen.logs.bags import Points, Reader
 from scenegen.logs.log import Log, make_log, span
 from scenegen.poses import (

@@ -2,9 +2,8 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -55,7 +54,6 @@ class Links:
         self._rows = defaultdict[str, dict[Source, Parents]](dict)
         self._order = dict[Source, int]()
         """Sources, in the order of the recording."""
-        self.chain = cache(self._chain)
 
     def add(self, topic: str, message: Any) -> None:
         """Take in a message with transforms, or of odometry."""
@@ -75,32 +73,7 @@ class Links:
             if math.isnan(time) and not np.allclose(before, numbers, atol=CHANGED):
                 rows[math.inf] = numbers  # refused, if the frame is needed
 
-    def root(self, frames: Iterable[str]) -> str:
-        """The frame that the poses of some frames are in. Raises ValueError if there are several,
-        and as `chain`."""
-        roots = {self.chain(frame)[-1].parent: frame for frame in frames}
-        if len(roots) > 1:
-            ends = " and ".join(
-                f"{short(frame)} from {short(root)}" for root, frame in roots.items()
-            )
-            raise ValueError(
-                f"the frames of its clouds hang from several roots: {ends}; expected one tree; "
-                "name a frame above all of them with --fixed-frame, or give --poses"
-            )
-        return next(iter(roots))
-
-    def pose(self, frame: str, time_s: float) -> Pose | None:
-        """The pose of a frame in the one in which its chain ends; None if a link is not known at
-        that time. Raises ValueError as `chain`."""
-        pose = Pose.level((0.0, 0.0, 0.0))
-        for link in self.chain(frame):
-            here = link.at(time_s)
-            if here is None:
-                return None
-            pose = chained(here, pose)
-        return pose
-
-    def _chain(self, frame: str) -> tuple[Link, ...]:
+    def chain(self, frame: str) -> tuple[Link, ...]:
         """The links from a frame upwards, the first its own. Raises ValueError if nothing says
         where it is, if a frame has two parents or hangs from itself, and for a link that is no
         pose."""
@@ -133,7 +106,7 @@ class Links:
         return is_odometry, topic != "/tf", self._order[source]
 
     def _link(self, name: str) -> Link:
-        """What a frame hangs from, by the first of its sources. Raises ValueError as `_chain`."""
+        """What a frame hangs from, by the first of its sources. Raises ValueError as `chain`."""
         source = min(self._rows[name], key=self._rank)
         links = self._rows[name][source]
         parents = dict.fromkeys(parent for parent, _ in links)
@@ -158,6 +131,17 @@ class Links:
         numbers = np.array([rows[time] for time in times[first:]])
         poses = poses_of(numbers, f"{topic}: {short(name)}")
         return Link(parent, name, topic, Track(np.array(times[first:]), poses))
+
+
+def pose_at(chain: Sequence[Link], time_s: float) -> Pose | None:
+    """The pose of a frame in the one in which its chain ends; None if a link is not known then."""
+    pose = Pose.level((0.0, 0.0, 0.0))
+    for link in chain:
+        here = link.at(time_s)
+        if here is None:
+            return None
+        pose = chained(here, pose)
+    return pose
 
 
 def seconds(stamp: Any) -> float:

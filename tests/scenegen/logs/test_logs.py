@@ -21,7 +21,7 @@ from scenegen.display.exchange.recordings import DEFINITIONS, POINT_TYPES, TRANS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud
-from scenegen.logs.frames import Links
+from scenegen.logs.frames import Links, pose_at
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log
 from scenegen.logs.read import read_log
@@ -245,14 +245,14 @@ def test_poses_come_from_a_chain_of_frames():
         at = message("odom", "base", time, Pose.level((2 * time, 0.0, 0.0), yaw))
         links.add("/wheels", message("odom", "base", time - 0.4, mount))
         links.add("/tf", SimpleNamespace(transforms=[at]))
-    found = links.pose("lidar", 5.5)
+    found = pose_at(links.chain("lidar"), 5.5)
     assert found.position == pytest.approx([11, 0, 1])
     assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
-    assert links.pose("lidar", 7.0) is None
+    assert pose_at(links.chain("lidar"), 7.0) is None
     with pytest.raises(ValueError, match="/tf_static: 'camera': row 1: expected"):
-        links.pose("camera", 5.5)
+        links.chain("camera")
     with pytest.raises(ValueError, match="says where 'radar' is"):
-        links.pose("radar", 5.5)
+        links.chain("radar")
 
 
 TIMES = {
