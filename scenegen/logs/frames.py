@@ -52,8 +52,6 @@ class Links:
         None: the frame from which all others hang."""
         self._fixed = fixed and fixed.lstrip("/")
         self._rows = defaultdict[str, dict[Source, Parents]](dict)
-        self._order = dict[Source, int]()
-        """Sources, in the order of the recording."""
 
     def add(self, topic: str, message: Any) -> None:
         """Take in a message with transforms, or of odometry."""
@@ -66,7 +64,6 @@ class Links:
             time = math.nan if topic.endswith(f"tf{STATIC}") else seconds(entry.header.stamp)
             numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
             source = transforms is None, topic.removesuffix(STATIC)
-            self._order.setdefault(source, len(self._order))
             links = self._rows[entry.child_frame_id.lstrip("/")].setdefault(source, {})
             rows = links.setdefault((entry.header.frame_id.lstrip("/"), topic), {})
             before = rows.setdefault(time, numbers)
@@ -100,14 +97,10 @@ class Links:
             )
         return tuple(links)
 
-    def _rank(self, source: Source) -> tuple[bool, bool, int]:
-        """Order of sources: /tf, other transforms as they come in the recording, odometry."""
-        is_odometry, topic = source
-        return is_odometry, topic != "/tf", self._order[source]
-
     def _link(self, name: str) -> Link:
         """What a frame hangs from, by the first of its sources. Raises ValueError as `chain`."""
-        source = min(self._rows[name], key=self._rank)
+        # /tf, other transforms as they come in the recording, odometry
+        source = min(self._rows[name], key=lambda source: (source[0], source[1] != "/tf"))
         links = self._rows[name][source]
         parents = dict.fromkeys(parent for parent, _ in links)
         parent = self._fixed if self._fixed in parents else next(iter(parents))

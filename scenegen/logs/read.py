@@ -77,8 +77,11 @@ def read_log(
         beside = _kitti_poses(path)
     recording = _recording_at(path) if poses or not beside.exists() else None
     if recording is not None:
-        if poses_of:
-            raise DatasetError(f"{path}: a recording has no calib.txt; leave out --poses-of")
+        if poses_of or columns:
+            raise DatasetError(
+                f"{path}: a recording has no calib.txt, and names its fields; leave out "
+                "--poses-of and --columns"
+            )
         if poses and fixed_frame:
             raise DatasetError(f"{path}: poses of a file are in one frame; leave out --fixed-frame")
         return _read_recording(recording, topic, poses, fixed_frame)
