@@ -5,6 +5,7 @@ refused.
 """
 
 import io
+import math
 import re
 import zipfile
 from collections.abc import Mapping
@@ -126,7 +127,7 @@ def _column_fit(values: NDArray[np.float32], count: int) -> float:
     """How much the columns of `values` as rows of `count` differ, 0 to 1: see `fitting_columns`."""
     blocks = values[: len(values) // BLOCK * BLOCK].reshape(-1, BLOCK)
     if len(blocks):
-        values = blocks[np.linspace(0, len(blocks) - 1, min(len(blocks), MAX_BLOCKS)).astype(int)]
+        values = blocks[:: math.ceil(len(blocks) / MAX_BLOCKS)]
     numbers = np.nan_to_num(values.reshape(-1), nan=0.0, posinf=0.0, neginf=0.0)
     shares = []
     for feature in (numbers, np.abs(numbers)):

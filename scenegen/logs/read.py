@@ -86,8 +86,10 @@ def read_log(
             raise DatasetError(f"{path}: poses of a file are in one frame; leave out --fixed-frame")
         return _read_recording(recording, topic, poses, fixed_frame)
     if topic or fixed_frame:
-        option = "topics; leave out --topic" if topic else "frames; leave out --fixed-frame"
-        raise DatasetError(f"{path}: a folder of clouds has no {option}")
+        raise DatasetError(
+            f"{path}: a folder of clouds has no topics and frames; leave out --topic and "
+            "--fixed-frame"
+        )
     if poses is None and not beside.exists():
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
     return read_folder(path, poses, beside, poses_of, columns)
