@@ -212,7 +212,8 @@ def _read_poses(path: Path, files: Sequence[Path]) -> list[Frame]:
     if not names and rows.shape[1] == 3:
         found = [(None, row[None]) for row in rows]
     else:
-        poses, calibration = read_poses(path, timed=False).poses, files[0].parents[1] / "calib.txt"
+        poses = read_poses(path, timed=False).poses
+        calibration = files[0].resolve().parent.parent / "calib.txt"
         if not names and rows.shape[1] == 12 and has_camera(calibration):
             raise SceneError(
                 f"{path}: has matrices as KITTI's, and {calibration} a Tr, so they may be those of "
