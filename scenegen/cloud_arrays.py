@@ -5,6 +5,7 @@ refused.
 """
 
 import io
+import math
 import re
 import zipfile
 from collections.abc import Mapping
@@ -68,8 +69,7 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     numbers as which other types read. And columns differ: heights from ways, intensities from both.
     Read with another number of columns, each column mixes all, and they are alike. The measure is
     the share of the variance of ranks, of the numbers and of their amounts, that lies between
-    columns. Where one number of columns alone divides the file, it need not be seen; where the
-    measure does not tell, a bounded fourth column is KITTI's intensity.
+    columns. Where one number of columns alone divides the file, it need not be seen.
 
     Args:
         values: The whole file, (n,).
@@ -89,10 +89,6 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     count = _best_fit(fits, len(values))
     if count is None and usual in fits:
         count = usual
-    if count is None and KITTI in fits and _has_intensity(values.reshape(-1, KITTI)):
-        # unless another one fits better than by chance
-        better = max(fits.values()) - fits[KITTI] > _chance(KITTI, len(values))
-        count = None if better else KITTI
     if fits and count is None:
         choices = " or ".join(map(str, fits))
         raise ValueError(f"may have {choices} columns, and its numbers do not tell; {HELP}")
@@ -112,27 +108,10 @@ def _best_fit(fits: Mapping[int, float], size: int) -> int | None:
     best = max(fits.values())
     count = min(count for count, fit in fits.items() if fit >= SAME_FIT * best)
     others = [fit for other, fit in fits.items() if other % count]
-    chance = _chance(count, size)
+    # what columns that are alike do not reach: their fit times the numbers is chi squared
+    chance = (count - 1 + CHANCES * (2 * count - 2) ** 0.5) / min(size, BLOCK * MAX_BLOCKS)
     clear = best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance
     return count if clear else None
-
-
-def _chance(count: int, size: int) -> float:
-    """What columns that are alike do not reach: their fit times the numbers is distributed as chi
-    squared."""
-    freedom = count - 1
-    return float((freedom + CHANCES * (2 * freedom) ** 0.5) / min(size, BLOCK * MAX_BLOCKS))
-
-
-def _has_intensity(table: NDArray[np.float32]) -> bool:
-    """Whether the last column of rows (N, 4), and not all others, may be intensities: from 0 to 1,
-    or whole numbers to 255."""
-
-    def bounded(column: NDArray[np.float32]) -> bool:
-        shares = ((column >= 0) & (column <= 1)).all()
-        return bool(shares or np.isin(column, np.arange(256)).all())
-
-    return bounded(table[:, 3]) and not all(map(bounded, table[:, :3].T))
 
 
 def _plausible(table: NDArray[np.float32]) -> bool:
@@ -148,7 +127,7 @@ def _column_fit(values: NDArray[np.float32], count: int) -> float:
     """How much the columns of `values` as rows of `count` differ, 0 to 1: see `fitting_columns`."""
     blocks = values[: len(values) // BLOCK * BLOCK].reshape(-1, BLOCK)
     if len(blocks):
-        values = blocks[np.linspace(0, len(blocks) - 1, min(len(blocks), MAX_BLOCKS)).astype(int)]
+        values = blocks[:: math.ceil(len(blocks) / MAX_BLOCKS)]
     numbers = np.nan_to_num(values.reshape(-1), nan=0.0, posinf=0.0, neginf=0.0)
     shares = []
     for feature in (numbers, np.abs(numbers)):
@@ -181,8 +160,8 @@ def _table(array: NDArray[Any], columns: int | None, kind: str) -> Table:
         return array, kind
     shape = f"{len(array)} × {array.shape[1]}"
     turned = _is_turned(array.shape, columns, shape)
-    taken = f"x y z ({kind}, {shape} {array.dtype}{', one column a point' * turned})"
-    return (array.T if turned else array)[:, :3], taken
+    points = array.T if turned else array
+    return points[:, :3], f"x y z ({kind}, {points.shape[1]} {'rows' if turned else 'columns'})"
 
 
 def _is_turned(shape: tuple[int, ...], columns: int | None, shown: str) -> bool:
@@ -206,10 +185,15 @@ def _is_turned(shape: tuple[int, ...], columns: int | None, shown: str) -> bool:
 
 
 def read_xyz(content: bytes) -> Table:
-    """Text: x, y and z are the first numbers of each line."""
+    """Text: x, y and z are the first numbers of each line, unless its first line names others."""
+    head, _, rest = content.partition(b"\n")
+    words = head.decode("latin-1").lower().replace(",", " ").strip("#/ \r").split()
+    columns = [0, 1, 2]
+    if set(words) >= set("xyz"):
+        columns, content = [words.index(axis) for axis in "xyz"], rest
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
-    points = text_numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
+    points = text_numbers(content.replace(b",", b" "), columns, MOST_POINTS + 1)
     return points, "x y z (.xyz, text)"
 
 

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import math
 import os
 import re
 import warnings
@@ -66,8 +67,6 @@ DEGREES_SCALE = 1e-6
 """A LAS file whose x and y have steps as fine as this may hold degrees: 1e-7° are a centimetre."""
 DEGREES_TALL = 30
 """A cloud that is so many times as high as it is wide has degrees for its width."""
-MODEL_KEY, GEOGRAPHIC, GEOCENTRIC = 1024, 2, 3
-"""GeoTIFF's key of the sort of coordinate system, and two of its values (OGC 19-008r4, 7.4)."""
 
 
 def read_ply(content: bytes) -> Table:
@@ -163,11 +162,7 @@ def _pcd_count(header: Mapping[str, Sequence[str]]) -> int:
     if "POINTS" not in header and "WIDTH" not in header:
         raise ValueError("its header has no line POINTS, and no WIDTH and HEIGHT")
     sides = ["POINTS"] if "POINTS" in header else ["WIDTH", "HEIGHT"]
-    count = 1
-    for side in sides:
-        (edge,) = _numbers_of(header, side, [1], int)[:1] or (1,)
-        count *= edge
-    return count
+    return math.prod(n for side in sides for n in _numbers_of(header, side, [1], int)[:1])
 
 
 def _numbers_of(
@@ -271,30 +266,17 @@ def _unpack_las(content: bytes) -> Table:
 
 
 def _check_metric(header: Any, points: Floats) -> None:
-    """Raise DatasetError for a LAS file in degrees or around the earth's centre: by its coordinate
-    system; by its numbers if it names none."""
-    keys = {
-        key.id: key.value_offset
-        for record in header.vlrs.get("GeoKeyDirectoryVlr")
-        for key in record.geo_keys
-    }
-    words = " ".join(record.string for record in header.vlrs.get("WktCoordinateSystemVlr"))
-    # of well-known text, 1 and 2: a projected system holds a geographic one
-    angular = "GEOGC" in words or ("GEODCRS" in words and "ellipsoidal" in words)
-    degrees = keys.get(MODEL_KEY) == GEOGRAPHIC or (angular and "PROJC" not in words)
-    centred = keys.get(MODEL_KEY) == GEOCENTRIC or words.startswith(("GEOCCS", "GEODCRS"))
-    if not (MODEL_KEY in keys or words) and len(points):
-        x, y, z = np.ptp(points[:, :3], axis=0)
-        fine, tall = header.scales[:2].max(), DEGREES_TALL * max(x, y)
-        on_earth = (np.abs(points[:, :2]).max(axis=0) <= (180, 90)).all()
-        degrees = (
-            on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or z > tall)
-        )
-    if degrees or centred:
-        system = "geographic coordinates, degrees" if degrees else "geocentric coordinates"
+    """Raise DatasetError for a LAS file in degrees: by its numbers, since many files name no
+    coordinate system."""
+    if not len(points):
+        return
+    x, y, z = np.ptp(points[:, :3], axis=0)
+    fine, tall = header.scales[:2].max(), DEGREES_TALL * max(x, y)
+    on_earth = (np.abs(points[:, :2]).max(axis=0) <= (180, 90)).all()
+    if on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or z > tall):
         raise DatasetError(
-            f"has {system}; expected metres, z up: project it first, to UTM or so (pdal translate "
-            "with filters.reprojection)"
+            "has geographic coordinates, degrees; expected metres, z up: project it first, to UTM "
+            "or so (pdal translate with filters.reprojection)"
         )
 
 

@@ -31,8 +31,6 @@ KITTI_FOLDER = "velodyne"
 """What KITTI calls the folder of a sequence's clouds."""
 MAX_SCAN_M = 1e5
 """No sensor has a return from farther away than this, metres."""
-MAX_LAYOUTS = 3
-"""Kinds of files that a line for people names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +140,8 @@ class ReadReport:
 
     def __str__(self) -> str:
         several = f"{self.clouds:,} clouds, " if self.clouds > 1 else ""
-        kinds = list(self.layouts)[:MAX_LAYOUTS]
-        more = len(self.layouts) - len(kinds)
-        kinds += [f"{more} more kinds"] if more else []
         lost = f"; {self.dropped:,} without a return dropped" if self.dropped else ""
-        return f"read: {several}{self.points:,} points, {'; '.join(kinds)}{lost}"
+        return f"read: {several}{self.points:,} points, {'; '.join(self.layouts)}{lost}"
 
 
 NAMED: dict[str, Callable[[bytes], Table]] = {

@@ -14,7 +14,7 @@ from lidarsim.grid import Floats
 from lidarsim.pose import rotate, unit
 from scenegen.errors import DatasetError, raised_as, short
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_ASSET_BYTES
+from scenegen.limits import MOST_ASSET_BYTES, MOST_HEADER_BYTES
 
 BEYOND_S = 0.1
 """How long before the first pose, or after the last, that pose still holds, seconds."""
@@ -24,6 +24,8 @@ usual."""
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and of a CSV file that names none."""
 TIME_NAME = re.compile(r"(?:.*\.)?(?:t|time_?stamp|time|stamp|secs?)(?:_(s|ms|us|ns))?")
+FRACTION, FRACTION_NAME = "fraction", re.compile(r"(?:.*[._])?n(?:ano)?secs?")
+"""The nanoseconds that some programs keep apart from whole seconds, in a column of their own."""
 AXIS_NAME = re.compile(
     r"(?:(?:.*\.)?(?:(q_rs|q|quat|quaternion|rot|rotation|orientation)"
     r"|p_rs_r|p|t|pos|position|translation)[_.]?)?([xyzw])"
@@ -105,16 +107,21 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
     if not names and any("q" in name for name, _ in _column_names(comment)):
         names = comment
     named = _column_names(names or TUM[: rows.shape[1]])
-    columns = {name: [n for n, (column, _) in enumerate(named) if column == name] for name in TUM}
+    columns = {
+        name: [n for n, (column, _) in enumerate(named) if column == name]
+        for name in (*TUM, FRACTION)
+    }
     missing = [name for name in TUM if not columns[name]]
     if missing or (not names and rows.shape[1] != len(TUM)):
         raise DatasetError(
             f"{path}: {rows.shape[1]} columns without {', '.join(missing) or 'names'}; expected 12 "
             f"as in KITTI, or {', '.join(TUM)}; others need their names in the first line"
         )
-    if twice := [name for name in TUM if len(columns[name]) > 1]:
+    if twice := [name for name in columns if len(columns[name]) > 1]:
         raise DatasetError(f"{path}: several columns for {twice[0]}; expected one called so")
     table = rows[:, [columns[name][0] for name in TUM]]
+    table[:, 0] += 1e-9 * rows[:, columns[FRACTION]].sum(axis=1)
+    _check_finite(table, path)
     rising = np.diff(table[:, 0]) > 0
     if not rising.all():
         n = int(np.argmin(rising)) + 2
@@ -146,6 +153,8 @@ def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
         if time := TIME_NAME.fullmatch(bare):
             unit = (time[1] or bracket.strip("_]")).replace("us", "µs")
             plain.append(("t", unit if unit in UNITS else ""))
+        elif FRACTION_NAME.fullmatch(bare):
+            plain.append((FRACTION, ""))
         elif axis := AXIS_NAME.fullmatch(bare):
             quaternion = axis[1] or axis[2] == "w"
             plain.append((f"q{axis[2]}" if quaternion else axis[2], ""))
@@ -220,12 +229,21 @@ def poses_of(rows: Floats, where: str) -> list[Pose]:
 def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
     """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
     are passed over from # on. Raises DatasetError for anything else."""
-    return _read_table(path)[:2]
+    names, rows, _ = _read_table(path)
+    _check_finite(rows, path)
+    return names, rows
+
+
+def _check_finite(rows: Floats, path: Path) -> None:
+    """Raise DatasetError for a row with a word, NaN or infinity."""
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise DatasetError(f"{path}: row {np.argmin(finite) + 1}: expected finite numbers")
 
 
 def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
-    """What `read_numbers` returns, and the names in the last comment above the first row, if they
-    are as many as its columns."""
+    """What `read_numbers` returns, with NaN for words in columns that have names; and the names in
+    the last comment above the first row, if they are as many as its columns."""
     text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -233,15 +251,13 @@ def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
         words = content.replace(",", " ").split()
         if not words and not rows:
             comment = _cells(after) or comment
-        try:
-            row = [float(word) for word in words]
-        except ValueError:
-            row = []
-            if not rows and not names:
-                names = _cells(content)
-                continue
+        row = list(map(_number, words))
+        finite = all(map(math.isfinite, row))
+        if not (finite or rows or names):
+            names = _cells(content)
+            continue
         width = len(names) or len((rows or [row])[0])
-        if words and not (row and len(row) == width and all(map(math.isfinite, row))):
+        if words and not (len(row) == width and (finite or names)):
             raise DatasetError(
                 f"{path}: line {number}: {short(line)}: expected {width} finite numbers"
             )
@@ -250,6 +266,14 @@ def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
     if not rows:
         raise DatasetError(f"{path}: holds no numbers")
     return names, np.array(rows), comment if len(comment) == len(rows[0]) else ()
+
+
+def _number(word: str) -> float:
+    """A word as a number, NaN if it is none."""
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
 
 
 def _cells(line: str) -> tuple[str, ...]:
@@ -269,3 +293,30 @@ def pose_of_matrix(row: Floats, where: str) -> Pose:
         raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
     mujoco.mju_mat2Quat(turned, np.ascontiguousarray(turn).reshape(-1))
     return Pose(matrix[:, 3], unit(turned))
+
+
+def read_tr(calibration: Path) -> Floats | None:
+    """Read where the sensor is in the frame of KITTI's camera.
+
+    Args:
+        calibration: A calib.txt.
+
+    Returns:
+        The numbers of its line Tr (12,); None if there is none.
+
+    Raises:
+        DatasetError: The line has others than 12 numbers.
+    """
+    text = read_bounded(calibration, MOST_HEADER_BYTES) if calibration.exists() else b""
+    for line in text.decode("latin-1").splitlines():
+        name, _, numbers = line.partition(":")
+        if name.strip() == "Tr":
+            with raised_as(DatasetError, f"{calibration}: Tr: expected 12 numbers: "):
+                return np.array(numbers.split(), float).reshape(12)
+    return None
+
+
+def has_camera(calibration: Path) -> bool:
+    """Whether a calib.txt of KITTI's has a camera that is not the sensor. Raises as `read_tr`."""
+    row = read_tr(calibration)
+    return row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1))

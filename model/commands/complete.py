@@ -149,10 +149,8 @@ def complete(
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
-            about = {"sensor": str(sensor)} | ({"columns": str(columns)} if columns else {})
-            always = ("poses", "topic")  # as in folders that were begun before there were others
-            for name, value in log_reading.items():
-                about |= {name: str(value)} if value or name in always else {}
+            options = {"sensor": sensor, "columns": columns, **log_reading}
+            about = {name: str(value) for name, value in options.items() if value is not None}
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)

@@ -20,7 +20,7 @@ from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from scenegen.cli.show import Progress, note, say
 from scenegen.cloud_arrays import read_npz
-from scenegen.clouds import ReadReport, check_scan, read_cloud, scans_in
+from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
@@ -311,8 +311,8 @@ def tasks_of(
     scans = scans_in(kept if kept.is_dir() else found)[::every]
     if not scans:
         raise DatasetError(
-            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
-            ".bin, .npz, .xyz, .npy, .las or .laz files"
+            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected "
+            f"{', '.join(READERS)} files"
         )
     names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
     if len(set(names)) < len(names):

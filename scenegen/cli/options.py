@@ -166,16 +166,9 @@ def log_options(function: Callable[..., Any]) -> Any:
         "--fixed-frame", help="The frame of a recording that poses are in.  [default: the topmost]"
     )
     @wraps(function)
-    def command(
-        *,
-        poses: Path | None,
-        poses_of: str | None,
-        topic: str | None,
-        fixed_frame: str | None,
-        **options: Any,
-    ) -> Any:
-        reading = {"poses": poses, "poses_of": poses_of, "topic": topic, "fixed_frame": fixed_frame}
-        return function(log_reading=reading, **options)
+    def command(**options: Any) -> Any:
+        names = "poses", "poses_of", "topic", "fixed_frame"
+        return function(log_reading={name: options.pop(name) for name in names}, **options)
 
     return command
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
+from scenegen.clouds import check_scan
 from scenegen.errors import DatasetError, printable
 from scenegen.logs.frames import Links, seconds
 from scenegen.logs.messages import CLOUD, POINT_TYPES, TRANSFORMS
@@ -31,8 +32,6 @@ LIVOX_TIME = "offset_time"
 """Its points' first field."""
 LIVOX_BYTES = 19
 """Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
-Head: TypeAlias = tuple[float, str]
-"""The time, seconds, and the frame of a cloud."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +57,10 @@ class Surveyed:
 
     topic: str
     """That of the clouds."""
-    heads: list[Head]
-    """As many as clouds."""
+    frame: str
+    """That of the clouds."""
+    stamps_s: Floats
+    """(n,): the times of the clouds, seconds."""
     links: Links
     fields: tuple[str, ...]
     """The names of the fields of its points."""
@@ -93,9 +94,9 @@ class Recording:
             fixed_frame: The frame that poses are in, see `Links`.
 
         Raises:
-            DatasetError: There are no clouds, or several topics of them.
+            DatasetError: There are no clouds, or those of several topics or frames.
         """
-        heads, links = defaultdict[str, list[Head]](list), Links(fixed_frame)
+        heads, links = defaultdict[str, list[tuple[float, str]]](list), Links(fixed_frame)
         samples = defaultdict[str, list[tuple[str, bytes]]](list)
         for kind, on, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
             if kind in (CLOUD, *LIVOX):
@@ -116,9 +117,15 @@ class Recording:
             raise DatasetError(
                 f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
             )
+        frames = sorted({frame for _, frame in heads[topic]})
+        if len(frames) > 1:
+            raise DatasetError(
+                f"{self._path}: the clouds on {topic} are of several frames, {', '.join(frames)}; "
+                "expected those of one sensor"
+            )
         clouds = [self._read(*sample) for sample in samples[topic]]
-        times = [cloud.times for cloud in clouds]
-        return Surveyed(topic, heads[topic], links, clouds[0].fields, times)
+        stamps, times = np.array([time for time, _ in heads[topic]]), [c.times for c in clouds]
+        return Surveyed(topic, frames[0], stamps, links, clouds[0].fields, times)
 
     def clouds(self, topic: str, clock: PointClock | None) -> Iterator[Reader]:
         """What reads each cloud of a topic: its points and, if a `clock` reads times, `t`, (n,)."""
@@ -128,6 +135,8 @@ class Recording:
 
     def _read_points(self, kind: str, data: bytes, clock: PointClock | None) -> Points:
         cloud = self._read(kind, data)
+        where = f"{self._path}: cloud at {cloud.times.stamp_s:.14g} s"
+        check_scan(cloud.points, np.zeros(3), where)
         times_s = clock.seconds(cloud.times) if clock else None
         return cloud.points, {} if times_s is None else {"t": times_s}
 

@@ -12,19 +12,19 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
 from scenegen.clouds import KITTI_FOLDER, READERS, check_scan, read_cloud, read_points, scans_in
-from scenegen.errors import DatasetError, raised_as
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_HEADER_BYTES
+from scenegen.errors import DatasetError
 from scenegen.logs.bags import Points, Reader
 from scenegen.logs.log import Log, make_log, span
 from scenegen.poses import (
     BEYOND_S,
     MIN_UNIX_S,
     Track,
+    has_camera,
     inverse,
     pose_of_matrix,
     read_numbers,
     read_poses,
+    read_tr,
     to_seconds,
 )
 
@@ -32,8 +32,11 @@ USUAL_S = 0.1
 """From scan to scan, where no times are known."""
 TR_ARCHIVE = "data_odometry_calib.zip"
 """The archive of KITTI's odometry whose calib.txt have the line Tr."""
-SECONDS_AND_FRACTION = re.compile(r"(\d+)[_-](\d+)")
-"""The name of a cloud that is its time, with the point replaced."""
+FRACTION = r"(?:([._-])(\d+))?"
+NAMED_TIME = re.compile(rf"(\d+){FRACTION}")
+"""The name of a cloud that is its time, where another sign may stand for the point."""
+NAMED_SINCE_1970 = re.compile(rf"(?<!\d)([1-9]\d{{9,}}){FRACTION}")
+"""The time in the name of a cloud, such as that of nuScenes: n008…__LIDAR_TOP__1532402927647951."""
 PosesOf: TypeAlias = Literal["sensor", "camera"]
 
 
@@ -138,21 +141,20 @@ def _times_beside(path: Path, count: int) -> Floats:
 
 def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
     """The times in the names of clouds, seconds (n,), of which some are between those of poses; NaN
-    where the names only count them."""
-    stems = [file.stem for file in files]
-    if all(stem.isdecimal() and int(stem) < MIN_UNIX_S for stem in stems):
+    where the names only count them, or not all have a time."""
+    parts = [
+        NAMED_TIME.fullmatch(file.stem) or NAMED_SINCE_1970.search(file.name) for file in files
+    ]
+    matches = [part for part in parts if part]
+    times = np.array([float(f"{part[1]}.{part[3] or 0}") for part in matches])
+    count_only = not any(part[3] for part in matches) and (times < MIN_UNIX_S).all()
+    if len(matches) < len(files) or count_only:
         return np.full(len(files), np.nan)
-    parts = [SECONDS_AND_FRACTION.fullmatch(stem) for stem in stems]
-    expected = "; expected a pose for each cloud, or clouds named by their time"
-    with raised_as(DatasetError, f"{files[0].parent}: ", expected):
-        if any(parts) and len({part and len(part[2]) for part in parts}) > 1:
-            raise ValueError("names have fractions of a second of several lengths")
-        # float() would read 1_5 as 15
-        digits = [
-            f"{part[1]}.{part[2]}" if part else stem.replace("_", " ")
-            for part, stem in zip(parts, stems, strict=True)
-        ]
-        times = np.array(list(map(float, digits)))
+    if len({len(part[3] or "") for part in matches if part[2] != "."}) > 1:
+        raise DatasetError(
+            f"{files[0].parent}: names have fractions of a second of several lengths; expected a "
+            "pose for each cloud, or clouds named by their time"
+        )
     where = f"{files[0].parent}: the times in the names of clouds"
     return to_seconds(times, where, near_s=posed_s)[0]
 
@@ -167,8 +169,7 @@ def _is_of_camera(
         return poses_of == "camera"
     if track.is_timed or not is_named:
         return not track.is_timed
-    row = _read_tr(calibration)
-    if row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1)):
+    if has_camera(calibration):
         raise DatasetError(
             f"{source}: has matrices as KITTI's, and {calibration} a Tr; expected --poses-of "
             "camera, as in KITTI's own files, or --poses-of sensor"
@@ -179,7 +180,7 @@ def _is_of_camera(
 def _camera(calibration: Path, source: Path) -> Pose:
     """Where the sensor is in the frame of KITTI's camera. Raises DatasetError if `calibration` does
     not say so."""
-    row = _read_tr(calibration)
+    row = read_tr(calibration)
     if row is None:
         raise DatasetError(
             f"{calibration}: {'has no line Tr' if calibration.exists() else 'no such file'}; "
@@ -187,14 +188,3 @@ def _camera(calibration: Path, source: Path) -> Pose:
             f"are of: KITTI's {TR_ARCHIVE} has it; or --poses-of sensor, if they are the sensor's"
         )
     return pose_of_matrix(row, f"{calibration}: Tr")
-
-
-def _read_tr(calibration: Path) -> Floats | None:
-    """The line Tr of a KITTI calibration (12,); None if there is none."""
-    text = read_bounded(calibration, MOST_HEADER_BYTES) if calibration.exists() else b""
-    for line in text.decode("latin-1").splitlines():
-        name, _, numbers = line.partition(":")
-        if name.strip() == "Tr":
-            with raised_as(DatasetError, f"{calibration}: Tr: expected 12 numbers: "):
-                return np.array(numbers.split(), float).reshape(12)
-    return None

@@ -2,9 +2,8 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -53,9 +52,6 @@ class Links:
         None: the frame from which all others hang."""
         self._fixed = fixed and fixed.lstrip("/")
         self._rows = defaultdict[str, dict[Source, Parents]](dict)
-        self._order = dict[Source, int]()
-        """Sources, in the order of the recording."""
-        self.chain = cache(self._chain)
 
     def add(self, topic: str, message: Any) -> None:
         """Take in a message with transforms, or of odometry."""
@@ -68,39 +64,13 @@ class Links:
             time = math.nan if topic.endswith(f"tf{STATIC}") else seconds(entry.header.stamp)
             numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
             source = transforms is None, topic.removesuffix(STATIC)
-            self._order.setdefault(source, len(self._order))
             links = self._rows[entry.child_frame_id.lstrip("/")].setdefault(source, {})
             rows = links.setdefault((entry.header.frame_id.lstrip("/"), topic), {})
             before = rows.setdefault(time, numbers)
             if math.isnan(time) and not np.allclose(before, numbers, atol=CHANGED):
                 rows[math.inf] = numbers  # refused, if the frame is needed
 
-    def root(self, frames: Iterable[str]) -> str:
-        """The frame that the poses of some frames are in. Raises ValueError if there are several,
-        and as `chain`."""
-        roots = {self.chain(frame)[-1].parent: frame for frame in frames}
-        if len(roots) > 1:
-            ends = " and ".join(
-                f"{short(frame)} from {short(root)}" for root, frame in roots.items()
-            )
-            raise ValueError(
-                f"the frames of its clouds hang from several roots: {ends}; expected one tree; "
-                "name a frame above all of them with --fixed-frame, or give --poses"
-            )
-        return next(iter(roots))
-
-    def pose(self, frame: str, time_s: float) -> Pose | None:
-        """The pose of a frame in the one in which its chain ends; None if a link is not known at
-        that time. Raises ValueError as `chain`."""
-        pose = Pose.level((0.0, 0.0, 0.0))
-        for link in self.chain(frame):
-            here = link.at(time_s)
-            if here is None:
-                return None
-            pose = chained(here, pose)
-        return pose
-
-    def _chain(self, frame: str) -> tuple[Link, ...]:
+    def chain(self, frame: str) -> tuple[Link, ...]:
         """The links from a frame upwards, the first its own. Raises ValueError if nothing says
         where it is, if a frame has two parents or hangs from itself, and for a link that is no
         pose."""
@@ -127,14 +97,10 @@ class Links:
             )
         return tuple(links)
 
-    def _rank(self, source: Source) -> tuple[bool, bool, int]:
-        """Order of sources: /tf, other transforms as they come in the recording, odometry."""
-        is_odometry, topic = source
-        return is_odometry, topic != "/tf", self._order[source]
-
     def _link(self, name: str) -> Link:
-        """What a frame hangs from, by the first of its sources. Raises ValueError as `_chain`."""
-        source = min(self._rows[name], key=self._rank)
+        """What a frame hangs from, by the first of its sources. Raises ValueError as `chain`."""
+        # /tf, other transforms as they come in the recording, odometry
+        source = min(self._rows[name], key=lambda source: (source[0], source[1] != "/tf"))
         links = self._rows[name][source]
         parents = dict.fromkeys(parent for parent, _ in links)
         parent = self._fixed if self._fixed in parents else next(iter(parents))
@@ -158,6 +124,17 @@ class Links:
         numbers = np.array([rows[time] for time in times[first:]])
         poses = poses_of(numbers, f"{topic}: {short(name)}")
         return Link(parent, name, topic, Track(np.array(times[first:]), poses))
+
+
+def pose_at(chain: Sequence[Link], time_s: float) -> Pose | None:
+    """The pose of a frame in the one in which its chain ends; None if a link is not known then."""
+    pose = Pose.level((0.0, 0.0, 0.0))
+    for link in chain:
+        here = link.at(time_s)
+        if here is None:
+            return None
+        pose = chained(here, pose)
+    return pose
 
 
 def seconds(stamp: Any) -> float:

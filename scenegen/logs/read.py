@@ -1,7 +1,6 @@
 """Logs of real sensors: recordings of ROS, which `bags` reads, and folders of clouds, which
 `folders` reads."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -13,8 +12,9 @@ from scenegen.clouds import scans_in
 from scenegen.errors import DatasetError, raised_as
 from scenegen.logs.bags import RECORDINGS, Recording, Surveyed
 from scenegen.logs.folders import PosesOf, read_folder
+from scenegen.logs.frames import pose_at
 from scenegen.logs.log import Log, make_log, period_s
-from scenegen.logs.times import PointClock, find_clock
+from scenegen.logs.times import find_clock
 from scenegen.poses import TUM, Track, read_poses
 
 BAG = "metadata.yaml"
@@ -77,14 +77,19 @@ def read_log(
         beside = _kitti_poses(path)
     recording = _recording_at(path) if poses or not beside.exists() else None
     if recording is not None:
-        if poses_of:
-            raise DatasetError(f"{path}: a recording has no calib.txt; leave out --poses-of")
+        if poses_of or columns:
+            raise DatasetError(
+                f"{path}: a recording has no calib.txt, and names its fields; leave out "
+                "--poses-of and --columns"
+            )
         if poses and fixed_frame:
             raise DatasetError(f"{path}: poses of a file are in one frame; leave out --fixed-frame")
         return _read_recording(recording, topic, poses, fixed_frame)
     if topic or fixed_frame:
-        option = "topics; leave out --topic" if topic else "frames; leave out --fixed-frame"
-        raise DatasetError(f"{path}: a folder of clouds has no {option}")
+        raise DatasetError(
+            f"{path}: a folder of clouds has no topics and frames; leave out --topic and "
+            "--fixed-frame"
+        )
     if poses is None and not beside.exists():
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
     return read_folder(path, poses, beside, poses_of, columns)
@@ -111,23 +116,17 @@ def _read_recording(
     file, if there is one, or else its own."""
     bag = Recording(path)
     survey = bag.survey(topic, fixed_frame)
-    times = np.array([time for time, _ in survey.heads])
-    frames = list(dict.fromkeys(frame for _, frame in survey.heads))
+    times = survey.stamps_s
     if poses_file is None:
         with raised_as(DatasetError, f"{path}: "):
-            poses, posed_s, from_where, form = _by_frames(survey, frames)
-    elif len(frames) > 1:
-        raise DatasetError(
-            f"{path}: its clouds are of several frames, {' and '.join(frames)}; --poses gives "
-            "those of one sensor"
-        )
+            poses, posed_s, from_where, form = _by_frames(survey)
     else:
         track = read_poses(poses_file)
         poses, posed_s = _at_stamps(track, times, poses_file), track.times_s
         from_where, form = f"poses of the sensor from {poses_file.name}", track.form
     clock, why = None, ""
     try:
-        clock = _point_clock(survey, times, frames)
+        clock = find_clock(survey.times, period_s(times))
     except ValueError as error:
         why = f"{path}: {error}"
     return make_log(
@@ -139,7 +138,7 @@ def _read_recording(
         about={
             "clouds": f"{len(times)} clouds on {survey.topic}",
             "fields": " ".join(survey.fields),
-            "frame": f"frame {' and '.join(frames)}",
+            "frame": f"frame {survey.frame}",
             "poses": from_where,
             "times": f"times from {clock}" if clock else "no times of points",
         },
@@ -149,20 +148,16 @@ def _read_recording(
     )
 
 
-def _by_frames(
-    survey: Surveyed, frames: Sequence[str]
-) -> tuple[list[Pose | None], Floats, str, str]:
+def _by_frames(survey: Surveyed) -> tuple[list[Pose | None], Floats, str, str]:
     """The poses of a recording's clouds by its transforms and odometry, over which time they are
     known, and in words where they come from, and by which links. Raises ValueError."""
-    links = survey.links
-    root = links.root(frames)
-    poses = [links.pose(frame, time) for time, frame in survey.heads]
-    chain = [link for frame in frames for link in links.chain(frame)]
+    chain = survey.links.chain(survey.frame)
+    poses = [pose_at(chain, time) for time in survey.stamps_s.tolist()]
     topics = dict.fromkeys(link.topic for link in chain)
     timed = [link.track.times_s for link in chain if link.track.is_timed]
     first = max((times[0] for times in timed), default=np.nan)
     posed_s = np.array([first, min((times[-1] for times in timed), default=np.nan)])
-    words = f"poses in {root} by {' and '.join(topics)}", ", ".join(dict.fromkeys(map(str, chain)))
+    words = f"poses in {chain[-1].parent} by {' and '.join(topics)}", ", ".join(map(str, chain))
     return poses, posed_s, *words
 
 
@@ -177,12 +172,3 @@ def _at_stamps(track: Track, times: Floats, source: Path) -> list[Pose | None]:
             f"one each, or times: {', '.join(TUM)}"
         )
     return list(track.poses)
-
-
-def _point_clock(survey: Surveyed, times: Floats, frames: Sequence[str]) -> PointClock:
-    """How the times of a recording's points are read. Raises ValueError if they cannot be."""
-    if len(frames) > 1:
-        raise ValueError(
-            f"its clouds are of several frames, {' and '.join(frames)}, so not of one sensor"
-        )
-    return find_clock(survey.times, period_s(times))

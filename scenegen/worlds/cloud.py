@@ -21,7 +21,7 @@ from lidarsim.voxelization import clear
 from scenegen.clouds import Cloud, ReadReport, check_scan, read_cloud
 from scenegen.errors import SceneError
 from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
-from scenegen.poses import read_numbers, read_poses
+from scenegen.poses import has_camera, read_numbers, read_poses
 
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
@@ -95,7 +95,7 @@ def map_clouds(
         DatasetError: A file cannot be read, or holds what no sensor returns.
     """
     survey = survey or Survey()
-    frames = None if poses is None else _read_poses(poses, len(files))
+    frames = None if poses is None else _read_poses(poses, files)
 
     @functools.lru_cache(maxsize=1)
     def read(index: int) -> _Seen:
@@ -204,14 +204,21 @@ def _placed(
     )
 
 
-def _read_poses(path: Path, count: int) -> list[Frame]:
+def _read_poses(path: Path, files: Sequence[Path]) -> list[Frame]:
     """The frame of each file's sensor. Raises DatasetError and SceneError."""
+    count = len(files)
     names, rows = read_numbers(path)
     found: list[Frame]
     if not names and rows.shape[1] == 3:
         found = [(None, row[None]) for row in rows]
     else:
         poses = read_poses(path, timed=False).poses
+        calibration = files[0].resolve().parent.parent / "calib.txt"
+        if not names and rows.shape[1] == 12 and has_camera(calibration):
+            raise SceneError(
+                f"{path}: has matrices as KITTI's, and {calibration} a Tr, so they may be those of "
+                "its camera; use scenegen ingest, or give the sensor's poses as TUM writes them"
+            )
         found = [(rotate(one.quaternion, np.eye(3)), one.position[None]) for one in poses]
     if len(found) != count:
         raise SceneError(

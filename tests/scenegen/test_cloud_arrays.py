@@ -66,12 +66,14 @@ def test_kitti_s_folder_says_what_few_points_do_not(tmp_path):
     assert_array_equal(read_points(tmp_path / "scan.bin", 6), np.full((40, 3), 7.0))
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     "values",
     [
         RNG.normal(size=(9600, 3)),  # all three are alike
         RNG.uniform(0, 1, (9600, 4)),
         ROOM.astype("<f8").view("<f4"),  # doubles
+        np.full((60, 4), 3e38),
         ROOM.view("<i4").astype("<f4").view("<i4").view("<f4") * 1e9,
         np.arange(9600, dtype="<i4").view("<f4"),  # whole numbers
     ],

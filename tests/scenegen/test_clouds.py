@@ -47,6 +47,15 @@ def test_arrays_and_text_come_back(tmp_path):
     assert_array_equal(read_points(tmp_path / "scan.XYZ"), [[1, 2, 3], [4, 5, np.nan]])
 
 
+@pytest.mark.parametrize(
+    "head", ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i"]
+)
+def test_a_first_line_of_names_says_where_x_y_and_z_are(tmp_path, head):
+    before = "9 " * head.startswith(("# i", "t"))
+    (tmp_path / "a.xyz").write_text(f"{head}\n{before}1 2 3 7\n{before}4 5 6 7\n")
+    assert_array_equal(read_points(tmp_path / "a.xyz"), [[1, 2, 3], [4, 5, 6]])
+
+
 def npy(header):
     """An array file that holds nothing but its header."""
     return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
@@ -85,9 +94,10 @@ def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, suffix, 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
 def test_what_scan_writes_comes_back(tmp_path, suffix):
+    points = POINTS * np.array([9, 9, 1], "f4")  # as places are wider than high
     for intensity in (None, np.linspace(0, 1, 50)):
-        write_points(tmp_path / f"scan{suffix}", POINTS.astype(np.float64), intensity, {})
-        assert_array_equal(read_points(tmp_path / f"scan{suffix}"), POINTS)
+        write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
+        assert_array_equal(read_points(tmp_path / f"scan{suffix}"), points)
 
 
 def pcd(form, n=3, fields="intensity _ z y x", type="U U F F F", count="1 3 1 1 1"):

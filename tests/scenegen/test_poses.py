@@ -63,6 +63,33 @@ def test_every_form_gives_the_same_poses(tmp_path, form):
         assert np.allclose(rotate(pose.quaternion, np.eye(3)).T, turns[n].as_matrix())
 
 
+def test_nanoseconds_apart_and_words_in_other_columns(tmp_path):
+    """As Newer College has them, and as `ros2 topic echo --csv` does."""
+    rows, _ = table()
+    ns = np.round((rows[:, 0] + 0.123456789) * 1e9).astype(np.int64).tolist()
+    stamps = [divmod(time, 10**9) for time in ns]
+    for header, word in (
+        ("#sec,nsec,x,y,z,qx,qy,qz,qw", ""),
+        (
+            "header.stamp.sec,header.stamp.nanosec,header.frame_id,pose.position.x,pose.position.y,"
+            "pose.position.z,orientation.x,orientation.y,orientation.z,orientation.w",
+            "map,",
+        ),
+    ):
+        lines = [
+            f"{seconds},{rest},{word}{','.join(map(repr, row[1:].tolist()))}"
+            for (seconds, rest), row in zip(stamps, rows, strict=True)
+        ]
+        (tmp_path / "poses.csv").write_text("\n".join([header, *lines]))
+        track = read_poses(tmp_path / "poses.csv")
+        assert track.times_s == pytest.approx(rows[:, 0] + 0.123456789, abs=1e-6, rel=0)
+        assert np.allclose([pose.position for pose in track.poses], rows[:, 1:4])
+        damaged = "\n".join([header, *lines[:2], lines[2].replace(repr(rows[2, 1].item()), "none")])
+        (tmp_path / "poses.csv").write_text(damaged)
+        with pytest.raises(DatasetError, match=r"(row 3|line 4): .*finite numbers"):
+            read_poses(tmp_path / "poses.csv")
+
+
 def test_matrices_are_told_from_columns(tmp_path):
     rows, turns = table(level=False)
     matrices = np.concatenate([turns.as_matrix(), rows[:, 1:4, None]], axis=2)

@@ -20,7 +20,7 @@ from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud
-from scenegen.logs.frames import Links
+from scenegen.logs.frames import Links, pose_at
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log
 from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
@@ -245,14 +245,14 @@ def test_poses_come_from_a_chain_of_frames():
         at = message("odom", "base", time, Pose.level((2 * time, 0.0, 0.0), yaw))
         links.add("/wheels", message("odom", "base", time - 0.4, mount))
         links.add("/tf", SimpleNamespace(transforms=[at]))
-    found = links.pose("lidar", 5.5)
+    found = pose_at(links.chain("lidar"), 5.5)
     assert found.position == pytest.approx([11, 0, 1])
     assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
-    assert links.pose("lidar", 7.0) is None
+    assert pose_at(links.chain("lidar"), 7.0) is None
     with pytest.raises(ValueError, match="/tf_static: 'camera': row 1: expected"):
-        links.pose("camera", 5.5)
+        links.chain("camera")
     with pytest.raises(ValueError, match="says where 'radar' is"):
-        links.pose("radar", 5.5)
+        links.chain("radar")
 
 
 TIMES = {
@@ -474,6 +474,26 @@ def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s)
     if form == "padded":
         with pytest.raises(DatasetError, match="fractions of a second of several lengths"):
             read_log(tmp_path / "clouds", poses=tmp_path / "poses.tum")
+
+
+@pytest.mark.parametrize("name", ["scan_{n:03d}", "n008-2018__LIDAR_TOP__{us}"])
+def test_clouds_of_other_names_have_poses_in_order_or_by_the_time_within(tmp_path, name):
+    scans, poses, clouds = written(tmp_path / "log"), tmp_path / "poses.tum", tmp_path / "clouds"
+    clouds.mkdir()
+    rows = np.loadtxt(tmp_path / "log" / "poses.tum") + np.eye(1, 8) * 1_532_402_927
+    for n, scan in enumerate(scans):
+        file = clouds / f"{name.format(n=n, us=round(rows[n, 0] * 1e6))}.pcd.bin"
+        np.pad(scan.points, ((0, 0), (0, 2))).astype("<f4").tofile(file)
+    np.savetxt(poses, rows, "%.9f")
+    log = read_log(clouds, poses=poses)
+    assert log.times_s == pytest.approx(rows[:, 0])
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(log.scans(), scans, strict=True))
+    np.savetxt(poses, rows[:-1], "%.9f")
+    if "us" in name:
+        assert read_log(clouds, poses=poses).without_pose == 1
+    else:
+        with pytest.raises(DatasetError, match="5 clouds and 4 poses"):
+            read_log(clouds, poses=poses)
 
 
 def test_as_many_poses_as_clouds_of_other_times_are_found_by_time(tmp_path):

@@ -92,14 +92,6 @@ def test_one_scan_of_impossible_times_stops_the_run(tmp_path):
         ingest(log, tmp_path / "out", NEAR)
 
 
-def test_clouds_of_two_sensors_are_not_deskewed(tmp_path):
-    bag, _ = drive(lambda u, stamp: {"t": u})
-    bag.messages += drive(lambda u, stamp: {"t": u}, frame="rear")[0].messages
-    log = read_log(moving(moving(bag), child="rear").write(tmp_path / "bag"))
-    with pytest.raises(DatasetError, match="lidar and rear, so not of one sensor"):
-        ingest(log, tmp_path / "out", NEAR)
-
-
 def test_messages_that_come_twice_or_late_are_deskewed(tmp_path):
     bag, truth = drive(lambda u, stamp: {"t": u})
     order = [0, 1, 1, 3, 2, 4, 5, 5]

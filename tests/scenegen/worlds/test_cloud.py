@@ -105,6 +105,21 @@ def surveyed(folder, scans, how):
     return map_clouds(files, VOXELS, poses=folder / "poses.txt").voxels
 
 
+def test_matrices_of_kitti_s_camera_are_not_taken_for_the_sensor_s(tmp_path, monkeypatch):
+    """As ingest asks what they are of, so does map: see its --poses-of."""
+    (tmp_path / "velodyne").mkdir()
+    cloud, poses = tmp_path / "velodyne" / "0.xyz", tmp_path / "poses.txt"
+    cloud.write_text("1 0 0\n0 2 0\n")
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    for tr in ("0 -1 0 0 0 0 -1 0 1 0 0 0", "1 0 0 0 0 1 0 0 0 0 1 0"):
+        (tmp_path / "calib.txt").write_text(f"Tr: {tr}\n")
+        if tr.startswith("0"):
+            with pytest.raises(SceneError, match="may be those of its camera"):
+                map_clouds([cloud], VOXELS, poses=poses)
+    monkeypatch.chdir(cloud.parent)
+    assert map_clouds([Path("0.xyz")], VOXELS, poses=poses).points == 2
+
+
 def within(part, whole):
     """The slices of a map that hold a part of it."""
     corner = np.rint((part.origin - whole.origin) / VOXEL_M).astype(int)
@@ -202,7 +217,7 @@ def test_several_clouds_are_read_in_one_line(scans, tmp_path, capsys):
     files = " ".join(f"{tmp_path}/{n}.npy" for n in range(len(scans)))
     words = f"map {files} --poses {tmp_path}/poses.txt -o {tmp_path}/a.npz"
     code, _, noted = run(capsys, words)
-    assert (code, noted) == (0, "read: 4 clouds, 2,000 points, x y z (.npy, 500 × 3 float32)\n")
+    assert (code, noted) == (0, "read: 4 clouds, 2,000 points, x y z (.npy, 3 columns)\n")
     done(capsys, f"{words} --quiet")
     assert json.loads(done(capsys, f"{words} --json"))["read"] == noted.strip()
 
