@@ -81,7 +81,6 @@ generate --quiet --kind wrong:Sparse --workers 1 → raise world.ground_m, lower
 scan pillar --flight --lidar wrong:Ray → max_range_m = -3
 generate --quiet --kind pillar --workers 1 --engine wrong:Still → line 3 of wrong.py: KeyError
 generate --quiet --kind pillar --workers 1 --engine wrong:Short → `of`
-scan pillar --flight --engine wrong:Hurt → the engine wrong:Hurt needs a rest
 """
 WRONG = f"""
 def gone():
@@ -131,8 +130,6 @@ class Worse(Short):
 class Still:
     of = classmethod(lambda cls, model, data=None: gone())
     cast = None
-class Hurt(Still):
-    missing = staticmethod(lambda: "needs a rest")
 @dataclass(frozen=True, kw_only=True)
 class Ray:
     shape, times_s, directions_body, max_range_m = (1,), [0.0], [[1.0, 0.0, 0.0]], -3
