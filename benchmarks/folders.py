@@ -39,7 +39,7 @@ FORGET = """
 import sys
 from pathlib import Path
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import load
+from scenegen.dataset.manifest import load
 folder = Path(sys.argv[1])
 manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
 """
@@ -92,7 +92,7 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
     from scenegen.dataset.state import State
     from scenegen.run.workers import run
 
-    plan = plan_generation(
+    (plan,) = plan_generation(
         n=train,
         val=test,
         test=test,
@@ -100,7 +100,7 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
         recipe=recipe,
         compact=True,
         shard_samples=1,
-    )
+    ).datasets
     State(plan).open()
     first: Any = plan.shards[0]
     for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
@@ -140,9 +140,7 @@ def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
         "inspect": f"-m scenegen inspect {data}",
         "inspect --all": f"-m scenegen inspect {data} --all --workers {workers}",
         "verify --quick": f"-m scenegen verify {data} --quick {quiet}",
-        "take --split train": f"-m scenegen take {data} --split train -o {here}/a {quiet}",
-        "take --split test": f"-m scenegen take {data} --split test -o {here}/b {quiet}",
-        "merge": f"-m scenegen merge {here}/a {here}/b -o {here}/c {quiet}",
+        "take --split train": f"-m scenegen take {data} --split train -o {here}/a.json {quiet}",
     }
     idle = 0.0
     print(

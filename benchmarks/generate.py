@@ -71,13 +71,13 @@ def stopwatch() -> Iterator[defaultdict[str, float]]:
 def measure(kind: str, seconds: float) -> None:
     """Write shards in this process for `seconds`, and print what they and their stages took."""
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, stopwatch() as spent:
-        plan = plan_generation(kind, 100_000, val=0, test=0, out=folder)
+        (plan,) = plan_generation(kind, 100_000, val=0, test=0, out=folder).datasets
         write_shard(plan.shards[0])  # kernels compile, caches fill
         spent.clear()
         begin, used, samples, size = time.perf_counter(), measuring.processor_s(), 0, 0
         for shard in plan.shards[1:]:
             report = write_shard(shard)
-            samples, size = samples + report.samples, size + report.size
+            samples, size = samples + report.entry.samples, size + report.size
             if time.perf_counter() - begin > seconds:
                 break
         wall, used = time.perf_counter() - begin, measuring.processor_s() - used

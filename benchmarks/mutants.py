@@ -33,7 +33,7 @@ ROOMS = {
     "planning": ("model/*/planning/*.py", "tests/model/evaluation"),
     "statistics": ("model/*/statistics.py", "tests/model/evaluation"),
     "manifest": (
-        "scenegen/dataset/manifest.py scenegen/dataset/trust.py",
+        "scenegen/dataset/manifest.py scenegen/dataset/opening.py",
         "tests/scenegen/dataset tests/scenegen/verification",
     ),
 }

@@ -83,7 +83,7 @@ def attached(world: World, sensor: Sensor, pose: Pose, noise: str) -> dict[str, 
 
 def generated(kind: str, lidar: str, noise: str, samples: int, folder: str) -> Task:
     """A shard of a dataset."""
-    plan = plan_generation(
+    (plan,) = plan_generation(
         kind,
         samples,
         val=0,
@@ -92,7 +92,7 @@ def generated(kind: str, lidar: str, noise: str, samples: int, folder: str) -> T
         lidar=lidar,
         noise=noise or None,
         shard_samples=samples,
-    )
+    ).datasets
     return partial(write_shard, plan.shards[0])
 
 

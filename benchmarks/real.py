@@ -201,7 +201,7 @@ def scored(
     for name, dataset in places.items():
         samples = maps_in(dataset)
         seen = [
-            (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables))
+            (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables.world))
             for n, one in enumerate(samples)
         ]
         counts[name] = counted(seen, samples, methods)

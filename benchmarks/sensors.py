@@ -45,7 +45,7 @@ def main() -> None:
         for name, asked in DATASETS.items():
             if any(word in name for word in given.only):
                 more = {"out": folder, "shard_samples": given.samples, **asked}
-                plan = plan_generation(given.kind, given.samples, val=0, test=0, **more)
+                (plan,) = plan_generation(given.kind, given.samples, val=0, test=0, **more).datasets
                 shards[name] = plan.shards[0]
         tasks = {name: partial(write_shard, shard) for name, shard in shards.items()}
         times = measuring.in_turn(tasks, given.rounds)

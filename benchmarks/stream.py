@@ -33,7 +33,7 @@ class Options(measuring.Options):
 def generate(kind: str, count: int, turn: int) -> None:
     """Write `count` samples as a shard, compact as a network needs it; others in each turn."""
     with tempfile.TemporaryDirectory() as folder:
-        plan = plan_generation(
+        (plan,) = plan_generation(
             kind,
             (turn + 1) * count,
             val=0,
@@ -41,7 +41,7 @@ def generate(kind: str, count: int, turn: int) -> None:
             out=folder,
             compact=True,
             shard_samples=count,
-        )
+        ).datasets
         write_shard(plan.shards[turn])
 
 

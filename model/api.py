@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.locate import locate
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.opening import open_data
+from scenegen.dataset.read import Collection, Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import USUAL, BenchConfig, TrainConfig
@@ -107,7 +107,7 @@ def bench(
         [one if isinstance(one, str | Completer) else Completed(one) for one in _listed(methods)]
         or USUAL
     )
-    measured = [Dataset(locate(name)) for name in _listed(datasets)]
+    measured = [open_data(name) for name in _listed(datasets)]
     if not measured:
         raise DatasetError("bench: no datasets; give one, or several of different kinds")
     execute = Local("", cores() if workers is None else workers)
@@ -118,11 +118,10 @@ def bench(
 def _samples(given: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
     if isinstance(given, Mapping):
-        weights = {locate(name): weight for name, weight in given.items()}
-        return opened(weights if split == "train" else [*weights], split)
-    found, named = _listed(given), (str, Path, Dataset)
+        return opened(given if split == "train" else [*given], split)
+    found, named = _listed(given), (str, Path, Dataset, Collection)
     # all at once, so that two datasets that share samples are found
-    there = iter(opened([locate(one) for one in found if isinstance(one, named)], split))
+    there = iter(opened([one for one in found if isinstance(one, named)], split))
     return [next(there) if isinstance(one, named) else one for one in found]
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from scenegen.dataset.generation import generate
-    from scenegen.dataset.locate import load
+    from scenegen.dataset.opening import load
     from scenegen.dataset.read import Dataset
     from scenegen.display.notebook import show
     from scenegen.draw import scan_world
@@ -73,7 +73,7 @@ __all__ = [
 
 _MODULES = {
     "scenegen.dataset.generation": "generate",
-    "scenegen.dataset.locate": "load",
+    "scenegen.dataset.opening": "load",
     "scenegen.dataset.read": "Dataset",
     "scenegen.display.notebook": "show",
     "scenegen.fly.environment": "Flight",

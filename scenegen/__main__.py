@@ -16,7 +16,7 @@ from scenegen.cli.command import Commands, run_command
 COMMANDS = {
     "Datasets": {
         "scenegen.cli.generate": "generate recipe",
-        "scenegen.cli.derive": "rescan take merge",
+        "scenegen.cli.take": "take",
         "scenegen.cli.verify": "verify",
         "scenegen.cli.publish": "publish",
         "scenegen.cli.convert": "convert world",

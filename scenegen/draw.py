@@ -18,13 +18,13 @@ from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
 from scenegen.errors import GenerationError, RecipeError, raised_as
+from scenegen.parts import PARTS
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
 from scenegen.tables import named_noise
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Route, fly, viewpoints
-from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 
@@ -241,7 +241,7 @@ def samples_of(
     names: tuple[int, int],
     derived: bool,
 ) -> tuple[Sample, ...]:
-    """The samples of a unit's views, with the recipe's noise and labels. `names` are the world's
+    """The samples of a unit's views, with the recipe's noise and parts. `names` are the world's
     number and the first sample's viewpoint. Raises GenerationError."""
     number, first = names
     found = []
@@ -265,9 +265,10 @@ def samples_of(
             "viewpoint": first + view,
             **earlier_fields(earlier),
         }
-        if recipe.labels is not None:
-            assert isinstance(world, World)  # `SceneWorlds.suited` refuses maps
-            values |= label_fields(values, world, recipe.lidar, recipe.grid, recipe.labels)
+        for name, settings in recipe.parts.items():
+            if not isinstance(world, World):
+                raise GenerationError(f"--{name}: a map of a real place has no geoms; leave it out")
+            values |= PARTS[name].compute(values, world, recipe, settings)
         found.append(Sample(**values, lidar=recipe.lidar, grid=recipe.grid))
     return tuple(found)
 

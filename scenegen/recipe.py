@@ -36,7 +36,6 @@ from scenegen.tables import (
     sensor_of,
 )
 from scenegen.worlds.flight import Flight
-from scenegen.worlds.labels import Labels
 from scenegen.worlds.mapping import Known, Mapper
 
 
@@ -92,8 +91,9 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
     """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
-    labels: Labels | None = None
-    """What samples say of geoms and classes; nothing for None. Nothing else depends on it."""
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the parts of samples that were asked for, by their names in
+    `scenegen.parts.PARTS`. Nothing else depends on them."""
     mapping: Mapper = field(default_factory=Mapper)
     """Which scans make a map, how the sensor is held, and where the map lies."""
     known: Known | None = None

@@ -49,10 +49,10 @@ class Sample:
     Grids are indexed x, y, z; lengths are metres; positions are in the world's frame. A dataset
     with several scans a sample has the fields `earlier_…`, the last scan made first; one with
     labels has `return_…` and `voxel_…`, where geoms are numbered as in the compiled world and
-    classes as in the manifest's `labels`; one of maps has `known` and `ray_known`. These fields are
-    None in other datasets. The fields of a sample that comes from a dataset or a stream are read
-    when they are first asked for; a copy of it, by pickle or by `dataclasses.replace`, holds all of
-    them.
+    classes as in the recipe's `labels`; one with normals has `return_normal`; one of maps has
+    `known` and `ray_known`. These fields are None in other datasets. The fields of a sample that
+    comes from a dataset or a stream are read when they are first asked for; a copy of it, by pickle
+    or by `dataclasses.replace`, holds all of them.
     """
 
     observed: Mask = _stored("bool", "grid", "voxels that hold at least one return")
@@ -103,6 +103,13 @@ class Sample:
     )
     voxel_class: NDArray[np.uint16] | None = _stored(
         "<u2", "grid", "truth: its class; 0 where not occupied", group="labels"
+    )
+    return_normal: Field | None = _stored(
+        "<f4",
+        "rays 3",
+        "the outward surface normal where each ray returned, in the world's frame; zeros where "
+        "nothing returned",
+        group="normals",
     )
     known: Mask | None = _stored(
         "bool",

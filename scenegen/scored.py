@@ -10,15 +10,15 @@ from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.sample import Sample
 
 
-def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> Mask:
+def scored_voxels(sample: Sample, grid: GridSpec, world: Mapping[str, Any] | None) -> Mask:
     """Which voxels of a map, (*grid.shape), scores count: those that reach above the underside of
     the ground slab, all where the world has none; and in a map of a real place those that are
-    known. `tables` are those of the sample's recipe.
+    known. `world` is the table of the sample's recipe, None for worlds from files.
 
     No sensor sees below the ground and no robot flies there, so what is said of that space is
     neither right nor wrong.
     """
-    world = tables.get("world") or {}
+    world = world or {}
     thick_m = world.get("ground_m")  # parameters of somebody's own kind may be anything
     bottom = -math.inf
     if world.get("ground") is True and isinstance(thick_m, int | float):

@@ -95,7 +95,6 @@ def bench(
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in
     the report."""
-    from scenegen.dataset.read import Dataset
     from scenegen.model.evaluation.methods import rows_of
     from scenegen.model.evaluation.report import build_report, to_html, to_markdown
     from scenegen.model.evaluation.run import bench_all
@@ -104,16 +103,15 @@ def bench(
 
     if talk:
         announce_compilation()
-    folders = find_datasets(datasets, shown=talk)
+    measured = find_datasets(datasets, shown=talk)
     for name in REPORTS:
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
-    measured = [Dataset(folder) for folder in folders]
     plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
     config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
     for dataset, method in product(measured if talk else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
-            note(f"note: {dataset.folder}: {warning}")
+            note(f"note: {dataset.name}: {warning}")
     progress = partial(Progress, shown=talk)
     results = bench_all(measured, methods, config, execute=execute, progress=progress)
     command = shlex.join(["scenegen", *sys.argv[1:]])

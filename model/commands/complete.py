@@ -28,6 +28,7 @@ from scenegen.model.config import DEFAULT_NETWORK
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
+    from scenegen.dataset.read import AnyDataset
     from scenegen.model.completion.completer import Completer
 
 COMPLETIONS = "completions.json"
@@ -116,6 +117,7 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
+    from scenegen.dataset.opening import COLLECTION, open_data
     from scenegen.files import claim, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
@@ -133,7 +135,7 @@ def complete(
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, shown=not quiet)
-    stored = (path / NAME).exists()
+    stored = (path / NAME).exists() or (path / COLLECTION).exists() or path.suffix == ".json"
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
@@ -160,7 +162,7 @@ def complete(
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
     existed = out.is_file()
     if stored:
-        _complete_split(completer, path, split, out, execute, quiet)
+        _complete_split(completer, open_data(path), split, out, execute, quiet)
     else:
         completed = predict_scan(completer, read_scan(path, sensor, columns), out)
         if not quiet:
@@ -172,7 +174,7 @@ def complete(
 
 def _complete_split(
     completer: "Completer",
-    folder: Path,
+    dataset: "AnyDataset",
     split: str,
     out: Path,
     execute: Executor | None,
@@ -182,13 +184,12 @@ def _complete_split(
     training. Raises DatasetError where `out` is called as a file."""
     if out.suffix == ".h5":
         raise DatasetError(f"{out}: a dataset's predictions are a folder; give a name without .h5")
-    from scenegen.dataset.read import Dataset
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
     progress = partial(Progress, shown=not quiet)
-    away = predict_split(completer, folder, split, out, execute=execute, progress=progress)
-    for warning in () if quiet else completer.unlike(Dataset(folder).settings):
+    away = predict_split(completer, dataset, split, out, execute=execute, progress=progress)
+    for warning in () if quiet else completer.unlike(dataset.settings):
         note(f"note: {warning}")
     far = sum(one >= UNUSUAL for one in away)
     if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
@@ -204,17 +205,17 @@ def _complete_map(completer: "Completer", place: Path, count: int, out: Path, qu
     page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
     from scenegen.dataset.build import build
     from scenegen.dataset.generation import plan_generation
-    from scenegen.dataset.manifest import NAME, completed, read
+    from scenegen.dataset.manifest import NAME, load
     from scenegen.dataset.read import Dataset
     from scenegen.model.commands.view import write_page
     from scenegen.model.commands.weights import chosen
 
     there, predictions = out / "seen", out / "predictions"
-    plan = plan_generation(n=count, scene=place, out=there)
-    if (there / NAME).exists() and completed(read(there)) != completed(plan.parameters):
+    (plan,) = plan_generation(n=count, scene=place, out=there).datasets
+    if (there / NAME).exists() and load(there).parameters != plan.manifest.parameters:
         raise DatasetError(f"{out}: holds another map, or another --n of it; give another -o")
     build(plan)
     seen = Dataset(there)
-    _complete_split(completer, there, "train", predictions, None, quiet)
+    _complete_split(completer, seen, "train", predictions, None, quiet)
     guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)

@@ -1,7 +1,6 @@
 """`scenegen inspect`: what something is."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import rich_click as click
@@ -24,7 +23,6 @@ from scenegen.cli.show import (
     show_columns,
     show_table,
 )
-from scenegen.errors import plural
 from scenegen.files import Json
 from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
@@ -63,12 +61,14 @@ def inspect(
     predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
     from scenegen.dataset.manifest import NAME
+    from scenegen.dataset.opening import COLLECTION
     from scenegen.display.inspect import MOST_MEASURED, inspect_all, misfits
     from scenegen.display.inspect import inspect as examine
     from scenegen.model.config import NetworkConfig
 
     path = Path(dataset)
-    if not (path / NAME).exists() and any(path.glob(f"*/{NAME}")):
+    is_collection = (path / COLLECTION).exists()
+    if not is_collection and not (path / NAME).exists() and any(path.glob(f"*/{NAME}")):
         _show_all(inspect_all(path), as_json)
         return
     if facts := _facts(path, columns):
@@ -77,7 +77,7 @@ def inspect(
     opened = open_dataset(dataset, shown=not as_json)
     with Progress("inspect", shown=(every or keep) and not as_json) as progress:
         found = examine(
-            opened.folder,
+            opened,
             most=None if every else MOST_MEASURED,
             keep=keep,
             workers=workers,
@@ -137,32 +137,29 @@ def _show_all(rows: list[Json], as_json: bool) -> None:
 
 def _show(dataset: Path | str, summary: Json, *, details: bool) -> None:
     """Prints the summary of a dataset and its measures, with `details` in a table of each split."""
-    from scenegen.dataset.manifest import SEVERAL
-
-    grid, sources = summary["grid"], summary.get("sources", ())
-    hollow = ", truth of surfaces" if grid.get("hollow") else ""
     size = f"{summary['bytes'] / 1e6:.1f} MB"
     if summary["samples"]:
         size += f", {summary['bytes_per_sample'] / 1e3:.1f} KB a sample"
-    maps = SEVERAL
-    if not any("mapping" in source for source in sources):
-        maps = str(Mapper(**(summary["mapping"] or {})))
-    show_table(
-        {
-            "dataset": dataset,
-            "kind": summary["kind"],
-            "seed": SEVERAL if summary["seed"] is None else summary["seed"],
-            **_sources(sources, details=details),
-            "complete": "yes" if summary["complete"] else "no",
-            "digest": summary["digest"] or "none yet",
-            "grid": f"{grid['shape']} voxels of {grid['voxel']} m{hollow}",
-            "maps": maps,
-            "fields": ", ".join(summary["fields"]),
-            "samples": summary["samples"] or "none is listed before the run is complete",
-            "size": size,
-            "rejected": rejections(summary["rejected"]),
-        },
-    )
+    datasets = summary.get("datasets", (summary,))
+    for about in datasets:
+        grid = about["grid"]
+        hollow = ", truth of surfaces" if grid["hollow"] else ""
+        rows = {
+            "dataset": about["name"],
+            "kind": about["kind"],
+            "seed": about["seed"],
+            "complete": "yes" if about["complete"] else "no",
+            "digest": about["digest"] or "none yet",
+            "grid": f"{grid['shape']} voxels of {grid['voxel_m']} m{hollow}",
+            "sensor": about["lidar"],
+            "maps": str(Mapper(**about["mapping"])),
+            **({"noise": about["noise"]} if about["noise"] else {}),
+            "fields": ", ".join(about["fields"]),
+            "rejected": rejections(about["rejected"]),
+        }
+        show_table(rows)
+    listed = "none is listed before the run is complete"
+    show_table({"samples": summary["samples"] or listed, "size": size})
     splits = summary["splits"]
     if not details:
         _show_means(splits)
@@ -217,23 +214,3 @@ def _show_split(name: str, split: Json) -> None:
             means = [kind["statistics"][key]["mean"] for kind in kinds.values()]
             cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
         show_columns(cells, list(kinds), f"{name}: means of each kind, shares in %")
-
-
-def _sources(sources: Sequence[Json], *, details: bool) -> Json:
-    """Lines on the datasets that samples were taken from."""
-    if details:
-        return {f"from {n}": _source(source) for n, source in enumerate(sources)}
-    kinds = dict.fromkeys(source["kind"] for source in sources)
-    return {"made of": f"{plural(len(sources), 'datasets')}: {', '.join(kinds)}"} if sources else {}
-
-
-def _source(source: Json) -> str:
-    """A dataset that samples were taken from, in words."""
-    words = [f"{source['kind']}, seed {source['seed']}"]
-    if source["digest"]:
-        words.append(f"digest {source['digest'][:8]}")
-    words += [source[name] for name in ("lidar", "mapping", "noise") if source.get(name)]
-    words.append(per_split(source["samples"]))
-    if choices := " or ".join(filter(None, source["taken"])):
-        words.append(choices)
-    return ", ".join(words)

@@ -78,8 +78,13 @@ def calibrate(
     make_parent(out)
     if talk:
         announce_compilation()
-    folders = find_datasets(datasets, shown=talk)
-    found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
+    found = fit(
+        weights,
+        find_datasets(datasets, shown=talk),
+        out,
+        **options,
+        progress=partial(Progress, shown=talk),
+    )
     if tell(asdict(found)):
         say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
         say(f"written: {out}")

@@ -25,7 +25,7 @@ from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
 if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.read import AnyDataset
 
 MOST_SHOWN = 64
 """The most samples on a sheet."""
@@ -235,13 +235,13 @@ def _draw_samples(
     return draw(looked, title=heading, width=paper), notes
 
 
-def _same_world(found: "Dataset", split: str, index: int) -> list[int]:
+def _same_world(found: "AnyDataset", split: str, index: int) -> list[int]:
     """The samples of a sample's world, in order, as many as are shown."""
     names = found.split(split).names
     return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MOST_SHOWN]
 
 
-def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
+def _draw_archived(found: "AnyDataset", split: str, index: int, title: str) -> Any:
     """The world that a sample is of, with the map's box, and all viewpoints in it."""
     import numpy as np
 

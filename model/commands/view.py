@@ -20,7 +20,7 @@ from scenegen.cli.types import OutputFile
 from scenegen.model.commands.weights import chosen, shown_options
 
 if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.read import AnyDataset
     from scenegen.display.look import Guesses
 
 MOST_SHOWN = 200
@@ -85,19 +85,15 @@ def view(
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.manifest import NAME
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.opening import open_data
 
-    path = Path(dataset)
-    inside = sorted(path.glob(f"*/{NAME}")) if out is None and not (path / NAME).exists() else []
-    folders = [manifest.parent for manifest in inside] or [locate(dataset, shown=not quiet)]
-    if len(folders) > 1 and shown["predictions"] is not None:
+    source = open_data(dataset, partial=True, shown=not quiet)
+    opened = list(source.datasets) if len(source.datasets) > 1 else [source]
+    if out is None and len(opened) > 1 and shown["predictions"] is not None:
         raise click.UsageError("--predictions: is of one dataset; name that one")
-    opened = [Dataset(folder, partial=True) for folder in folders]
-    guesses, methods = chosen(opened[0], split, **shown)
+    guesses, methods = chosen(source if out is not None else opened[0], split, **shown)
     if out is not None:
-        write_page(opened[0], split, indices, count, out, quiet, guesses)
+        write_page(source, split, indices, count, out, quiet, guesses)
         return
     from scenegen.display.live import Live
     from scenegen.display.look import incomplete
@@ -107,15 +103,12 @@ def view(
         raise click.UsageError(f"--index {index}: its {split} split has {there} samples")
     for one in opened:
         for line in incomplete(one, split):
-            note(f"{one.folder}: {line}")
+            note(f"{one.name}: {line}")
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
     with server, stops.noted() as stopped:
-        say(
-            f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; "
-            "Ctrl-C ends it"
-        )
+        say(f"{server.address}  shows {', '.join(one.name for one in opened)}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
             say(
@@ -127,7 +120,7 @@ def view(
 
 
 def write_page(
-    found: "Dataset",
+    found: "AnyDataset",
     split: str,
     indices: tuple[int, ...],
     count: int,

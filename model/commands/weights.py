@@ -14,7 +14,7 @@ from scenegen.cli.types import FILE
 from scenegen.model.config import bundled, split_name, split_own, unknown_network
 
 if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.read import AnyDataset
     from scenegen.display.look import Guesses
 
 
@@ -79,7 +79,7 @@ shown_options = together(
 
 
 def chosen(
-    dataset: "Dataset",
+    dataset: "AnyDataset",
     split: str,
     predictions: Path | None,
     weights: Sequence[str],

@@ -22,9 +22,9 @@ from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.parts import described, sensor_entry
+from scenegen.dataset.manifest import differences, mapping_entry
 from scenegen.dataset.read import Split
+from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
 from scenegen.files import Json, real_path
 from scenegen.limits import MOST_BATCH
@@ -305,7 +305,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    here, usual = sensor_entry(lidar), described(Mapper())
+    here, usual = sensor_entry(lidar), mapping_entry(Mapper())
 
     def told(way: Json) -> tuple[int, str]:
         """How far they are from one way of those that the network learned from, and why."""
@@ -317,7 +317,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             learned = " or ".join(stages or "none" for stages in noises)
             faults = [f"noise is {learned} in training, {noise or 'none'} here"]
         maps = differences(
-            {"mapping": way.get("mapping") or usual}, {"mapping": described(mapping)}, TRAINING
+            {"mapping": way.get("mapping") or usual}, {"mapping": mapping_entry(mapping)}, TRAINING
         )
         # a sensor that differs says more than noise, and that more than maps
         if sensor:

@@ -12,8 +12,8 @@ import numpy as np
 
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.rules import stem_of
+from scenegen.dataset.manifest import stem_of
+from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import Json, claim, make_parent, whole
@@ -33,7 +33,7 @@ PART = 100
 
 def predict_split(
     completer: Completer,
-    folder: Path,
+    dataset: AnyDataset,
     split: str,
     out: Path,
     *,
@@ -49,13 +49,12 @@ def predict_split(
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
-    dataset = Dataset(folder, whole=True)
-    with raised_as(DatasetError, f"{folder}: "):
+    with raised_as(DatasetError, f"{dataset.name}: "):
         completer.check_grid(dataset.grid)
     samples = dataset.split(split)
     if not (count := len(samples)):
-        raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
-    about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
+        raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
+    about = {"dataset": dataset.digest, "split": split, "method": completer.name}
     there = claim(out, PREDICTIONS, {**about, "weights": completer.digest, "samples": PART})
     parts = [
         (f"{stem_of(split, number)}.h5", numbers)

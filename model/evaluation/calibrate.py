@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.parts import plain
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.manifest import plain
+from scenegen.dataset.read import AnyDataset
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import Json
@@ -77,7 +77,7 @@ class _Task(NamedTuple):
 
     dataset: int
     """The dataset's number among those given."""
-    folder: Path
+    source: AnyDataset
     numbers: list[int]
     """The samples' in their split."""
 
@@ -97,7 +97,7 @@ class _Counted(NamedTuple):
 
 def calibrate(
     weights: str | Path,
-    folders: Sequence[Path],
+    datasets: Sequence[AnyDataset],
     out: Path,
     *,
     split: str = "val",
@@ -111,7 +111,7 @@ def calibrate(
 
     Args:
         weights: The network, a .safetensors file.
-        folders: The datasets.
+        datasets: The datasets.
         out: File to write.
         split: The split of the datasets to calibrate on; no training may have seen it.
         samples: At most so many maps of each dataset, evenly spread; None for all.
@@ -132,13 +132,12 @@ def calibrate(
         raise CheckpointError(f"{weights}: predicts no probabilities, so there is nothing to fit")
     weight = _class_weight(weights, about)
     method = Completer.from_pretrained(weights)
-    datasets = [Dataset(folder) for folder in folders]
-    digests = tuple(str(dataset.manifest.digest) for dataset in datasets)
+    digests = tuple(dataset.digest for dataset in datasets)
     if len(set(digests)) < len(digests):
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
     for dataset in datasets:
         check_whole(dataset, "calibrate on drawn worlds")
-        with raised_as(DatasetError, f"{dataset.folder}: "):
+        with raised_as(DatasetError, f"{dataset.name}: "):
             method.check_grid(dataset.grid)
     tasks = _tasks(datasets, split, samples)
     total = sum(len(task.numbers) for task in tasks)
@@ -175,7 +174,7 @@ def _class_weight(weights: str | Path, about: Json) -> float:
     )
 
 
-def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_Task]:
+def _tasks(datasets: Sequence[AnyDataset], split: str, most: int | None) -> list[_Task]:
     """All samples of a split, or `most` of each dataset, evenly spread. Raises DatasetError where
     they are of too few worlds."""
     tasks, worlds = [], set()
@@ -183,9 +182,9 @@ def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_T
         part = filled(dataset, split)
         chosen = evenly(len(part), most or len(part))
         worlds |= {(number, part.names[n][1]) for n in chosen}
-        tasks += [_Task(number, dataset.folder, rows) for rows in chunked(chosen, CHUNK)]
+        tasks += [_Task(number, dataset, rows) for rows in chunked(chosen, CHUNK)]
     if len(worlds) < LEAST_WORLDS:
-        folders = ", ".join(str(dataset.folder) for dataset in datasets)
+        folders = ", ".join(dataset.name for dataset in datasets)
         raise DatasetError(
             f"{folders}: {len(worlds)} worlds in split {split}, expected {LEAST_WORLDS} at least; "
             f"make a larger {split} split, or give more datasets"
@@ -195,7 +194,7 @@ def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_T
 
 def _count_task(split: str, method: Completer, weight: float, task: _Task) -> list[_Counted]:
     """Complete a task's maps, and count the logits of their unknown voxels."""
-    samples, results = Dataset(task.folder, whole=True).split(split), []
+    samples, results = task.source.split(split), []
     for number in task.numbers:
         sample = samples[number]
         probability = method.completion(sample, samples).occupancy_probability

@@ -17,7 +17,7 @@ import numpy as np
 
 from scenegen.dataset.hdf5 import Stored, read_guarded
 from scenegen.dataset.layout import FILTERS, unpack
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import AnyDataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
 from scenegen.files import real_path
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
@@ -104,7 +104,7 @@ class Predicted:
         self.name = printable(found.name if is_folder else found.stem)
         self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
 
-    def check(self, dataset: Dataset, split: str) -> None:
+    def check(self, dataset: AnyDataset, split: str) -> None:
         """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
         its grid, in numbers that can be.
 
@@ -141,16 +141,16 @@ class Predicted:
             return _prediction(file, row)
 
 
-def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[tuple[int, int]]:
+def _check_file(path: Path, *, dataset: AnyDataset, split: str, most: int) -> list[tuple[int, int]]:
     """The samples, (world, viewpoint), that the file at `path` predicts. Raises DatasetError unless
     they are at most so many, of `split` of `dataset`, on its maps."""
-    digest, shape = str(dataset.manifest.digest), dataset.grid.shape
+    digest, shape = dataset.digest, dataset.grid.shape
     wrong = raised_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
     with wrong, h5py.File(path, "r") as file:
         said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
         if said[0] != digest:
             raise DatasetError(
-                f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} "
+                f"predicts dataset {printable(said[0])[:12]}…, not {dataset.name} "
                 f"({digest[:12]}…); predict this one, and copy its digest into the attribute "
                 "`dataset`"
             )
@@ -270,7 +270,7 @@ def rows_of(
     return rows
 
 
-def check_rows(rows: Sequence[Method], datasets: Sequence[Dataset], split: str) -> None:
+def check_rows(rows: Sequence[Method], datasets: Sequence[AnyDataset], split: str) -> None:
     """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
     for row, dataset in product(rows, datasets):
         if (check := getattr(row, "check", None)) is not None:

@@ -56,7 +56,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
                 "which shows it where the place ends), and not marked"
             )
         report["datasets"][result.kind] = {
-            "digest": str(result.dataset.manifest.digest),
+            "digest": result.dataset.digest,
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,

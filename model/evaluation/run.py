@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.dataset.read import AnyDataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
@@ -77,7 +76,7 @@ class DatasetResult:
     """All methods on one dataset."""
 
     kind: str
-    dataset: Dataset
+    dataset: AnyDataset
     config: BenchConfig
     worlds: Ints
     """(N,): the samples' worlds."""
@@ -125,38 +124,38 @@ class _SampleResult(NamedTuple):
 
 
 def check_middle(
-    dataset: Dataset, instead: str = "bench datasets whose maps lie around the sensor"
+    dataset: AnyDataset, instead: str = "bench datasets whose maps lie around the sensor"
 ) -> None:
     """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
     would not begin at the sensor."""
     for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
-                f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
+                f"{dataset.name}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
                 f"sensor, and plans begin in a map's middle; {instead}"
             )
 
 
-def check_whole(dataset: Dataset, instead: str) -> None:
+def check_whole(dataset: AnyDataset, instead: str) -> None:
     """Raise DatasetError, with what to do `instead`, for maps of real places, of which not all is
     known."""
-    if dataset.manifest.known is not None:
+    if any(one.manifest.known is not None for one in dataset.datasets):
         raise DatasetError(
-            f"{dataset.folder}: its samples are of maps of real places, which do not know all; "
+            f"{dataset.name}: its samples are of maps of real places, which do not know all; "
             f"{instead}"
         )
 
 
-def filled(dataset: Dataset, split: str) -> Split:
+def filled(dataset: AnyDataset, split: str) -> Split:
     """A split of a dataset. Raises DatasetError where it is empty."""
     found = dataset.split(split)
     if not len(found):
-        raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+        raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
     return found
 
 
 def bench(
-    dataset: Dataset,
+    dataset: AnyDataset,
     methods: Sequence[Method],
     config: BenchConfig,
     *,
@@ -175,17 +174,17 @@ def bench(
     check_middle(dataset)
     if config.reliability:
         check_whole(dataset, "leave --reliability out")
-    kind = kind or dataset.manifest.graded
+    kind = kind or dataset.kind
     of_kind = split.by_kind().get(kind)
     if of_kind is None:
-        raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
+        raise DatasetError(f"{dataset.name}: holds no {kind} in its {config.split} split")
     numbers = [of_kind[n] for n in evenly(len(of_kind), config.samples or len(of_kind))]
     tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
-    work = partial(_bench_samples, dataset.folder, methods, tuned, trials_each, config)
+    work = partial(_bench_samples, dataset, methods, tuned, trials_each, config)
     chunks = counted(execute, progress, work, tasks, kind, len(numbers))
     samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
     # (trial's number within its sample, sample): first trials come first, so that a cut to the
@@ -233,7 +232,7 @@ def _joined(
 
 
 def bench_all(
-    datasets: Sequence[Dataset],
+    datasets: Sequence[AnyDataset],
     methods: Sequence[Method],
     config: BenchConfig,
     *,
@@ -251,7 +250,7 @@ def bench_all(
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in dataset.split(config.split).by_kind() or (dataset.manifest.graded,)
+        for kind in dataset.split(config.split).by_kind() or (dataset.kind,)
     ]
     kinds = [kind for _, kind in tables]
     if len(set(kinds)) < len(kinds):
@@ -266,7 +265,7 @@ def bench_all(
 
 
 def _bench_samples(
-    folder: Path,
+    dataset: AnyDataset,
     methods: Sequence[Method],
     tuned: Sequence[Thresholds],
     trials_each: int,
@@ -275,7 +274,7 @@ def _bench_samples(
 ) -> list[_SampleResult]:
     """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
     `trials_each` planning trials on each."""
-    split = Dataset(folder).split(rows.split)
+    split = dataset.split(rows.split)
     found = []
     for index in rows.numbers:
         sample = split[index]
@@ -367,7 +366,7 @@ def planner_maps(
 
 def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator) -> Trials:
     """The first `count` trials on the map of a sample, with goals within its world."""
-    world = case.split.home(case.index).tables.get("world")  # those from MJCF files have no box
+    world = case.split.home(case.index).tables.world  # those from MJCF files have no box
     origin = case.sample.origin
     bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin
     return draw_trials(case.truth[0], case.grid, plan, count=count, rng=rng, bounds=bounds)

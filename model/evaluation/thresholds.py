@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarsim.grid import Floats, Mask
 from lidarsim.jit import kernel
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import AnyDataset
 from scenegen.display.look import evenly
 from scenegen.model.completion.protocol import Prediction, plain
 from scenegen.model.config import Thresholds
@@ -77,7 +77,7 @@ def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:
     return replace(usual, **{name: float(CANDIDATES[name][int(ious.argmax())])})
 
 
-def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:
+def tune(method: Method, dataset: AnyDataset, thresholds: Thresholds) -> Thresholds:
     """The thresholds at which `method` has the largest mean IoU on at most `MAX_TUNING_SAMPLES`
     validation samples, evenly spread: the same rule for every method.
 
@@ -92,6 +92,6 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
         except KeyError:  # a file that predicts the test split alone
             return thresholds
         name = judged_by(completion)
-        scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
+        scored = scored_voxels(sample, dataset.grid, split.home(index).tables.world)
         rows.append(ious_by_threshold(completion, sample.occupancy, scored))
     return best_of(name, np.mean(rows, axis=0), thresholds) if rows else thresholds

@@ -2,7 +2,6 @@
 
 import dataclasses
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from lidarsim.grid import Field, GridSpec, Mask
 from lidarsim.scan import Scan
 from lidarsim.solids.shapes import Solids
 from lidarsim.voxelization import fuse
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import AnyDataset, Split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.sample import Sample
 from scenegen.scored import certain_distances, scored_voxels
@@ -89,7 +88,7 @@ class Case:
     @cached_property
     def classes(self) -> NDArray[np.uint8]:
         """How each voxel was seen; see `classify`."""
-        scored = scored_voxels(self.sample, self.grid, self.split.home(self.index).tables)
+        scored = scored_voxels(self.sample, self.grid, self.split.home(self.index).tables.world)
         return classify(self.sample, grid=self.grid, scored=scored)
 
     @cached_property
@@ -130,7 +129,7 @@ def seen_occupancy(sample: Sample, split: Split) -> Mask:
     compiled.
     """
     dataset = split.dataset
-    solids, engine = _world(dataset.folder, split.name, int(sample.world))
+    solids, engine = _world(dataset, split.name, int(sample.world))
     scans = sample.scans()
     origins = np.array([scan.pose.position for scan in scans])
     directions = np.array([scan.directions for scan in scans])
@@ -159,9 +158,9 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
 
 
 @lru_cache(maxsize=2)  # the samples of a world come one after the other
-def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
+def _world(dataset: AnyDataset, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
     """The solids of an archived world, and what casts rays in it."""
-    solids = solid(Dataset(folder).compile(split, number), f"{split} world {number}").solids
+    solids = solid(dataset.compile(split, number), f"{split} world {number}").solids
     return solids, AnalyticEngine(solids, threads=1)
 
 

@@ -15,9 +15,9 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
-from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.generation import fraction
-from scenegen.dataset.read import Dataset as SampleDataset
+from scenegen.dataset.opening import open_data
+from scenegen.dataset.read import AnyDataset, check_together
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
@@ -70,12 +70,13 @@ Key = tuple[int, int]
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
-    def __init__(self, dataset: SampleDataset, split: str, weight: Any = None):
+    def __init__(self, dataset: AnyDataset, split: str, weight: Any = None):
         self.weight = weight
-        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
-        self.kind, self.digest = dataset.manifest.graded, str(dataset.manifest.digest)
+        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, dataset.name
+        self.kind, self.digest = dataset.kind, dataset.digest
         self.settings = dataset.settings
-        self.known = dataset.manifest.known
+        known = (one.manifest.known for one in dataset.datasets)
+        self.known = next((one for one in known if one is not None), None)
         self._split = dataset.split(split)
 
     def __len__(self) -> int:
@@ -85,20 +86,19 @@ class SplitSamples:
         return self._split[index]
 
 
-def opened(folders: Any, split: str) -> list[Samples]:
-    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that
-    holds none, and where a merged or taken dataset has samples of another one.
+def opened(names: Any, split: str) -> list[Samples]:
+    """The samples of one split of every dataset that is named. Raises DatasetError for a name of
+    none, and where two hold the same samples, or a world in two splits.
 
-    `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a
-    stream's parts are. Weights are numbers above 0, in proportion to which samples come in
-    training, however many each dataset holds; without any, each sample comes once a pass.
+    `names` is a list of what `open_data` takes, or of pairs (name, weight), or a mapping to
+    weights, as a stream's parts are. Weights are numbers above 0, in proportion to which samples
+    come in training, however many each dataset holds; without any, each comes once a pass.
     """
-    if isinstance(folders, Mapping):
-        folders = folders.items()
-    parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
-    datasets = [SampleDataset(folder, whole=True) for folder, _ in parts]
-    if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
-        check_disjoint(datasets)  # what was merged or taken may hold samples of the others
+    if isinstance(names, Mapping):
+        names = names.items()
+    parts = [one if isinstance(one, tuple) else (one, None) for one in names]
+    datasets = [open_data(name) for name, _ in parts]
+    check_together([one for dataset in datasets for one in dataset.datasets])
     return [
         SplitSamples(dataset, split, weight)
         for dataset, (_, weight) in zip(datasets, parts, strict=True)

@@ -17,8 +17,8 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.parts import mapping_entry, sensor_entry
+from scenegen.dataset.manifest import differences, mapping_entry
+from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
 from scenegen.files import Json
 from scenegen.model.checkpoint import DTYPES, CheckpointError
@@ -329,7 +329,7 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
     first, *others = [
         {"lidar": sensor_entry(lidar)}
         | ({"noise": sorted(noises)} if any(noises) else {})
-        | ({} if (entry := mapping_entry(mapping)) is None else {"mapping": entry})
+        | ({} if mapping.plain else {"mapping": mapping_entry(mapping)})
         for (lidar, mapping), noises in ways.items()
     ]
     return about | first | ({"also": others} if others else {})

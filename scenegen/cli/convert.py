@@ -65,9 +65,10 @@ def convert(
     from scenegen.errors import DatasetError, plural
 
     found = open_dataset(dataset, shown=not quiet)
-    target = out or Path(f"{found.folder.absolute().name}-{to.rpartition(':')[2]}")
-    if not found.manifest.complete:
-        note(f"{found.folder}: is incomplete; what is there is converted")
+    target = out or Path(f"{Path(found.name).absolute().stem}-{to.rpartition(':')[2]}")
+    for one in found.datasets:
+        if not one.manifest.complete:
+            note(f"{one.folder}: is incomplete; what is there is converted")
     with Progress(to, shown=not quiet) as progress:
         done = write(
             found,
@@ -83,7 +84,7 @@ def convert(
         note(line)
     if done.broken:
         raise DatasetError(
-            f"{found.folder}: {len(done.broken)} samples could not be read; the others are in "
+            f"{found.name}: {len(done.broken)} samples could not be read; the others are in "
             f"{target}"
         )
     if not quiet:

@@ -34,7 +34,7 @@ from scenegen.run import EXECUTORS, LOCAL, cores, executor
 from scenegen.worlds.mapping import Mapper
 
 if typing.TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.read import AnyDataset, Dataset
 
 Decorator = Callable[[Any], Any]
 """Makes of a function the same one with more options."""
@@ -353,30 +353,39 @@ def flags_given(names: Collection[str]) -> list[str]:
     ]
 
 
-def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "Dataset":
-    """The dataset named, fetched where it is not here; with `shown`, a download has a bar. Without
-    `partial`, it must be complete."""
-    from scenegen.dataset.locate import locate
+def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "AnyDataset":
+    """The dataset, collection or selection named, fetched where it is not here; with `shown`, a
+    download has a bar. Without `partial`, it must be complete."""
+    from scenegen.dataset.opening import open_data
+
+    return open_data(dataset, partial=partial, shown=shown)
+
+
+def one_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "Dataset":
+    """See `open_dataset`, for commands of one dataset alone. Raises UsageError for several."""
     from scenegen.dataset.read import Dataset
 
-    return Dataset(locate(dataset, shown=shown), partial=partial)
+    opened = open_dataset(dataset, shown=shown, partial=partial)
+    if not isinstance(opened, Dataset):
+        names = ", ".join(one.name for one in opened.datasets)
+        raise click.UsageError(f"{opened.name}: is of several, or a selection; give one of {names}")
+    return opened
 
 
-def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:
-    """The folders of the datasets named, or those under data/ that hold samples. Raises UsageError
-    for none."""
+def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[AnyDataset, ...]":
+    """The datasets named, or those under data/ that hold samples. Raises UsageError for none."""
     from scenegen.cli.show import note
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.trust import load
+    from scenegen.dataset.opening import open_data
 
-    found = [locate(dataset, shown=shown) for dataset in datasets]
-    for path in () if found else sorted(Path("data").glob("*/dataset.json")):
-        if load(path.parent).shards:
-            found.append(path.parent)
+    opened = [open_data(dataset, shown=shown) for dataset in datasets]
+    for path in () if opened else sorted(Path("data").glob("*/dataset.json")):
+        one = open_data(path.parent, partial=True)
+        if any(len(one.split(split)) for split in SPLITS):
+            opened.append(open_data(path.parent))
         elif shown:
             note(f"{path.parent}: holds no samples yet, so it is left out")
-    if not found:
+    if not opened:
         raise click.UsageError(
             "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"
         )
-    return tuple(found)
+    return tuple(opened)

@@ -86,11 +86,11 @@ class Choice(click.Choice[str]):
 
 
 class DatasetPath(Written, click.Path):
-    """A dataset: a folder, hf://user/name[@revision], or s3://bucket/folder; the command fetches
-    it, and not the parsing."""
+    """A dataset: a folder of it or of several, a selection's file, hf://user/name[@revision], or
+    s3://bucket/folder; the command fetches it, and not the parsing."""
 
     def __init__(self) -> None:
-        click.Path.__init__(self, file_okay=False)  # a shell completes it with folders
+        click.Path.__init__(self)
         self.name = "dataset"
 
     def read(self, text: str) -> Path | str:

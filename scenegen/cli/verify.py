@@ -43,13 +43,11 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
     them."""
     if talk:
         announce_compilation()
-    from scenegen.dataset.locate import locate
     from scenegen.verification import verify as prove
 
-    folder = locate(dataset, shown=talk, whole=True)
     begin = time.perf_counter()
     with Progress("verify", shown=talk) as progress:
-        report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
+        report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
     seconds = time.perf_counter() - begin
     if tell({**report.to_json(), "seconds": seconds}):
         _show_checks(report, seconds)

@@ -4,25 +4,34 @@ whole."""
 import math
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from lidarsim.engines import DEFAULT, MUJOCO
-from scenegen import SPLITS
+from lidarsim.engines import DEFAULT
+from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
-from scenegen.dataset.parts import schema_of
+from scenegen.dataset.manifest import (
+    Manifest,
+    RecipeEntry,
+    SceneEntry,
+    mapping_entry,
+    noise_entry,
+    plain,
+    schema_of,
+)
 from scenegen.dataset.placed import write_shard
-from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine
+from scenegen.dataset.sensor_file import sensor_entry
+from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError
-from scenegen.files import Json, remove_drafts, writable
-from scenegen.limits import MOST_SHARDS
+from scenegen.errors import BrokenError, DatasetError, raised_as, whole_number
+from scenegen.files import remove_drafts, writable
+from scenegen.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
 from scenegen.run import Counted, Executor, undone, unheard
+from scenegen.run.software import software
 from scenegen.run.workers import Local
 from scenegen.source import Source
 from scenegen.stores import StorePath
@@ -53,38 +62,62 @@ def plan_dataset(
     folder: Path,
     recipe: Recipe,
     source: Source,
-    **options: Any,
+    *,
+    seed: int,
+    counts: Mapping[str, int],
+    compact: bool = False,
+    shard_samples: int = USUAL_IN_SHARD,
+    engine: str = DEFAULT,
+    tables: RecipeEntry | None = None,
+    like: str | None = None,
+    shard_type: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide the samples that `options` ask for, those of `manifest.parameters`, into shards made
-    of whole units.
+    """Divide samples into shards made of whole units.
 
-    Raises DatasetError for an engine that is not to be had, and for numbers beyond those that
-    readers take.
+    Args:
+        folder: Where the dataset is to be.
+        recipe: What samples hold.
+        source: Where worlds come from.
+        seed: What everything is drawn by.
+        counts: Samples of each split.
+        compact: Whether fields that follow from others are left out.
+        shard_samples: About how many samples a shard has.
+        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
+        tables: What the manifest says of the recipe, where that is not `recipe_entry`.
+        like: Digest of the dataset that is scanned again, if one is.
+        shard_type: What draws the units of a shard.
+
+    Raises:
+        DatasetError: An engine that is not to be had, or a number beyond those that readers take.
     """
-    given = manifest.parameters(recipe, source, **options)
-    find_engine(options.get("engine", DEFAULT))
-    return divide(folder, given, recipe, source)
-
-
-def divide(
-    folder: Path,
-    given: Json,
-    recipe: Recipe,
-    source: Source,
-    kind: type[ShardSpec] = ShardSpec,
-) -> Plan:
-    """Divide the samples that the manifest's parameters `given` ask for into shards of a `kind`.
-    Raises DatasetError."""
-    counts, fingerprint = given["counts"], manifest.fingerprint(given)
+    find_engine(engine)
+    seed = whole_number("--seed", seed, 0, MOST_SEED)
+    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    scenes = source.describe()
+    planned = Manifest(
+        generator=GENERATOR,
+        seed=seed,
+        counts={split: counts[split] for split in SPLITS},
+        tables=tables or recipe_entry(recipe),
+        scenes={split: [SceneEntry(**one) for one in scenes[split]] for split in scenes} or None,
+        like=like,
+        fields=schema_of(recipe).stored(compact=compact),
+        shard_samples=shard_samples,
+        engine=engine,
+        software=software(),
+        folder=folder,
+    )
+    with raised_as(DatasetError, "a manifest cannot say what is asked for: ", of=BrokenError):
+        manifest.parse(manifest.encode(planned))  # whatever is written can be read
+    planned.__dict__.update(recipe=recipe, lidar=recipe.lidar)  # whose rays are not there yet
     each = recipe.flight.viewpoints
-    step = max(given["shard_samples"] // each, 1)
-    layout = layout_of(given["fields"], schema_of(recipe))
-    shards = []
+    step = max(shard_samples // each, 1)
     if (samples := sum(counts.values())) > MOST_SHARDS * step * each:
         raise DatasetError(
-            f"--shard-samples {given['shard_samples']}: {samples} samples are more than "
-            f"{MOST_SHARDS} shards of {step * each}; give {-(-samples // MOST_SHARDS)} or more"
+            f"--shard-samples {shard_samples}: {samples} samples are more than {MOST_SHARDS} "
+            f"shards of {step * each}; give {-(-samples // MOST_SHARDS)} or more"
         )
+    shards = []
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
@@ -92,22 +125,41 @@ def divide(
             # a world a unit is a range, which takes no memory, or worlds come again
             apart = source.number(split, here[-1])[0] == here[-1]
             shards.append(
-                kind(
+                shard_type(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
                     numbers=here if apart else [source.number(split, unit)[0] for unit in here],
                     samples=min(len(here) * each, counts[split] - first * each),
-                    seed=given["seed"],
-                    layout=layout,
-                    parameters=fingerprint,
+                    seed=seed,
+                    layout=layout_of(planned.fields, schema_of(recipe)),
+                    parameters=planned.fingerprint,
                     recipe=recipe,
                     source=source,
-                    engine=given.get("engine", MUJOCO),
+                    engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
+    return Plan(folder=folder, manifest=planned, shards=tuple(shards))
+
+
+def recipe_entry(recipe: Recipe) -> RecipeEntry:
+    """What a manifest says of a recipe. Raises DatasetError for noise that no manifest can hold."""
+    world = None if recipe.world is None else plain(asdict(recipe.world))
+    return RecipeEntry(
+        kind=recipe.kind,
+        version=recipe.version,
+        difficulty=recipe.difficulty,
+        world=world,
+        flight=plain(asdict(recipe.flight)),
+        accept=plain(asdict(recipe.accept)),
+        lidar=sensor_entry(recipe.lidar),
+        grid=plain(asdict(recipe.grid)),
+        noise=noise_entry(recipe.noise, recipe.lidar.max_range_m),
+        mapping=mapping_entry(recipe.mapping),
+        known=None if recipe.known is None else plain(asdict(recipe.known)),
+        parts={name: plain(asdict(settings)) for name, settings in recipe.parts.items()},
+    )
 
 
 def build(
@@ -137,7 +189,6 @@ def build(
     execute = execute or Local("", workers)
     state = State(plan, force=force)
     begun = state.begun
-    state.adopt()
     mine = execute.mine(plan.shards[first:stop])
     state.look(mine, workers=workers)
     missing = [shard for shard in mine if shard.file not in state.reports]
@@ -156,8 +207,8 @@ def build(
         closing(execute(write_shard, missing, lambda: on_start(samples))) as results,
     ):
         for report in results:
-            state.reports[report.file] = report
-            written += report.samples
+            state.reports[report.entry.file] = report
+            written += report.entry.samples
             on_shard(report, True)
             if time.monotonic() - noted > NOTE_S:
                 state.note(mine)
@@ -167,7 +218,7 @@ def build(
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
+def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
     """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
     nobody beforehand."""
     if not missing or isinstance(plan.folder, StorePath):
@@ -182,26 +233,26 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         )
 
 
-def _summarise(state: State, final: Json, written: int) -> Summary:
+def _summarise(state: State, final: Manifest, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = dict.fromkeys(SPLITS, 0)
     worlds = {split: set[int]() for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            source = shard.more.get("source", 0) << 32
-            worlds[shard.split].update(source + number for number in shard.numbers)
-    whole = final["complete"]
-    missing = 0 if whole else len(state.absent()) or len(plan.shards) - len(reports)
+            worlds[shard.split].update(shard.numbers)
+    missing = 0
+    if not final.complete:
+        missing = len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,
-        complete=whole,
+        complete=final.complete,
         samples=samples,
-        worlds={split: len(found) for split, found in worlds.items()},
-        rejected=final["rejected"],
+        worlds={split: len(numbers) for split, numbers in worlds.items()},
+        rejected={what: dict(counts) for what, counts in final.rejected.items()},
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
         shards_missing=missing,
         samples_written=written,
-        digest=final["digest"],
+        digest=final.digest,
     )

@@ -2,7 +2,6 @@
 each into no more bytes than it may have. Reading, resuming, verifying and training all go through
 here."""
 
-import json
 import math
 import sys
 import weakref
@@ -12,13 +11,13 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import isal.isal_zlib
+import msgspec
 import numpy as np
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
-from scenegen.dataset.rules import REJECTED, check
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
 from scenegen.files import open_bounded, open_parts, pread, sha256_in, size_of
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
@@ -48,6 +47,13 @@ def most_bytes(layout: Layout, samples: int) -> int:
     """What a shard of `samples` may take on disk, however badly it is packed."""
     each = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
     return samples * (each + each // 100) + (1 << 20)
+
+
+class Rejected(msgspec.Struct):
+    """What a shard says of draws that were rejected: counts by reason."""
+
+    worlds: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
+    viewpoints: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +131,10 @@ class ShardFile:
         """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
         text = self.attributes.get("rejected")
         fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
-        failed = (ValueError, TypeError, RecursionError, BrokenError)
+        failed = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors
         with raised_as(lambda _: BrokenError(fault), of=failed):
-            given = json.loads(text)  # type: ignore[arg-type]
-            check(given, REJECTED, "")
-        return {what: Counter(given[what]) for what in REJECTED}
+            counts = msgspec.json.decode(str(text), type=Rejected)
+        return {"worlds": Counter(counts.worlds), "viewpoints": Counter(counts.viewpoints)}
 
 
 def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from scenegen.dataset import manifest, trust
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.rules import pattern_of
+from scenegen.dataset import manifest
+from scenegen.dataset.manifest import pattern_of
 from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.files import read_bounded, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -73,33 +72,12 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
             f"--out {name}`"
         ) from None
     folder = keep(str(place), manifest.NAME, content)
-    listed = trust.load(folder, str(name)).files  # checked before they are used as names
+    listed = manifest.load(folder, str(name)).files  # checked before they are used as names
     note(folder, str(place), listed)
     if whole:
         fetch_all(folder, listed)
     LOCATED[folder] = locate_again, str(place), folder.name
     return folder
-
-
-def load(dataset: str | os.PathLike[str], split: str = "train", *, whole: bool = False) -> Split:
-    """The samples of a split, read when asked for, without a copy in memory.
-
-    Args:
-        dataset: A `Dataset`, a folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``,
-            which is copied once and checked.
-        split: "train", "val" or "test".
-        whole: Fetch each shard from a store whole, in one request, when it is opened: for who reads
-            most samples. Otherwise what is read is fetched.
-
-    Returns:
-        A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
-        spawned, each of which opens the files for itself; its `describe()` gives names, types,
-        shapes, units and meanings of the fields.
-
-    Raises:
-        DatasetError: There is no such dataset or split, or it is incomplete or damaged.
-    """
-    return Dataset(locate(dataset), whole=whole).split(split)
 
 
 @cache
@@ -138,7 +116,7 @@ def download(name: str, *, shown: bool) -> Path:
         with client_output(shown):
             _check_listing(repository, revision)
             folder = fetch(revision, manifest.NAME)
-            listed = trust.load(folder, name).files  # checked before they are used as names
+            listed = manifest.load(folder, name).files  # checked before they are used as names
             # the client holds every file against every name: of many, their patterns are enough
             names = listed if len(listed) < MANY else {*map(pattern_of, listed)}
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed

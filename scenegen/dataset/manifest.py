@@ -1,246 +1,559 @@
-"""The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
-checks its values."""
+"""The manifest, `dataset.json`: its schema, how it is read and written, and what follows from it.
+
+The schema is `Document`: what stands in the file, and nothing else. `Manifest` adds where the file
+lies, and the objects that its tables describe. A manifest may come from a stranger: every value is
+checked before it is used, and no module is imported because a manifest names it.
+"""
 
 import difflib
 import json
+import math
 import re
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from lidarsim.engines import DEFAULT, MUJOCO
+import msgspec
+from msgspec import Meta, Struct
+
+from lidarsim import GridSpec, Sensor
+from lidarsim.noise import STAGES
+from lidarsim.noise import VERSION as NOISE_VERSION
 from lidarsim.parameters import MOST_SHOWN
-from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import DatasetError, StoreError, printable, short, whole_number
+from scenegen import SPLITS, __version__
+from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.sensor_file import check_sensor_entry, rays_digest, sensor_of
+from scenegen.errors import (
+    BrokenError,
+    DatasetError,
+    NewerError,
+    RecipeError,
+    printable,
+    raised_as,
+    short,
+)
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import (
-    MOST_DEPTH,
+    MOST_KIND_NAME,
     MOST_MANIFEST_BYTES,
+    MOST_RAYS_IN_SAMPLE,
+    MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
-    USUAL_IN_SHARD,
+    MOST_VIEWPOINTS,
+    MOST_VOXELS,
 )
-from scenegen.run.software import software
-from scenegen.stores import ConflictError
+from scenegen.parts import PARTS
+from scenegen.recipes import graded, kind_names
+from scenegen.sample import DERIVED, FIELDS, Schema
+from scenegen.worlds.mapping import Known, Mapper, Sensing
 
-if TYPE_CHECKING:  # these draw worlds, and import what that takes
-    from scenegen.dataset.shard import ShardReport
+if TYPE_CHECKING:  # which import what draws worlds
+    from lidarsim.noise.chain import Noise
     from scenegen.recipe import Recipe
-    from scenegen.source import Source
 
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
-VERSION = 1
-"""The major version of the format."""
-VERSIONS = (VERSION, 1.2, 1.3, 1.4, "1.5", "1.6")
-"""All of the format, as they stand in the file, in order; from 1.5 on as text, for 1.10 is no
-1.1."""
-SINCE: Mapping[str, int | float | str] = {
-    **{part.name: part.since for part in PARTS},
-    **{"rescan": 1.2, "sources": 1.4, "differ": "1.6"},
-}
-"""Entries, and the first version of the format that has them: a manifest is of the latest one that
-any of its entries asks for, and readers of earlier versions refuse it. Whatever they would refuse
-is to raise the version."""
+VERSION = 2
+"""The version of the format. Whatever an earlier scenegen would misread raises it."""
 
-MINOR = tuple(name for name, since in SINCE.items() if since != VERSION)
-"""Entries that raise a manifest's version."""
-UNNAMED: Json = {"generator": 1, "engine": MUJOCO}
-BEFORE: Json = {**UNNAMED, **dict.fromkeys(MINOR)}
-"""What a manifest says by not naming it."""
+Count = Annotated[int, Meta(ge=0, le=MOST_SAMPLES)]
+Seed = Annotated[int, Meta(ge=0, le=MOST_SEED)]
+SplitName = Annotated[str, Meta(pattern=r"\A(?:train|val|test)\Z")]
+ShardSamples = Annotated[int, Meta(ge=1, le=MOST_SAMPLES_IN_SHARD)]
+Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+SHARD_FILE = re.compile(
+    r"(?:((?:train|val|test)-[0-9]+)x+/(?=\1))?(train|val|test)-([0-9]{5,9})(\.h5|\.worlds\.zip)"
+)
+"""Where a file of a shard lies: train-00000.h5, or train-01xxx/train-01000.worlds.zip."""
+FileName = Annotated[str, Meta(pattern=rf"\A(?:{SHARD_FILE.pattern})\Z")]
+INDEX_DIGITS = 3
+"""So many last digits tell the shards of one folder apart: the first thousand lie in the dataset's
+own, every further thousand in one of theirs. The Hugging Face Hub takes 10,000 entries a folder."""
+
+
+class _Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the file: of known names alone."""
+
+
+class ShardEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A shard, as the manifest lists it."""
+
+    file: FileName
+    worlds: FileName
+    split: SplitName
+    samples: ShardSamples
+    first_world: Count
+    sha256: Digest
+    worlds_sha256: Digest
+
+    @property
+    def sums(self) -> tuple[str, str]:
+        """The SHA-256 of its two files."""
+        return self.sha256, self.worlds_sha256
+
+    @property
+    def index(self) -> int:
+        """Its number within its split."""
+        match = SHARD_FILE.fullmatch(self.file)
+        assert match is not None
+        return int(match[3])
+
+
+class NoiseEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The noise of a dataset."""
+
+    stages: Annotated[str, Meta(pattern=r"\A[ -~]{1,4000}\Z")]
+    """Stages of noise, as `lidarsim.noise` writes them."""
+    bound_m: Annotated[float, Meta(ge=0)] | None
+    """How far a return may lie from its true place, metres; None where nothing bounds that."""
+    version: Annotated[int, Meta(ge=1, le=MOST_SEED)]
+    """`lidarsim.noise.VERSION` when it was made."""
+
+
+class SceneEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A world that was given as a file."""
+
+    file: Annotated[str, Meta(max_length=1000)]
+    sha256: Digest
+
+
+class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Every parameter of the recipe, by table, as in a recipe's TOML file."""
+
+    kind: Annotated[str, Meta(pattern=rf"\A(?=.{{1,{MOST_KIND_NAME}}}\Z)\w[\w.-]*(?::\w+)?\Z")]
+    version: Seed = 0
+    """The version of the kind's preset; 0 for worlds from files."""
+    difficulty: Annotated[str, Meta(pattern=r"\A[\w .-]{1,60}\Z")] = "medium"
+    world: Json | None = None
+    """None for worlds from files."""
+    flight: Json
+    accept: Json
+    lidar: Json
+    """A raster's parameters; of other sensors the digest of the table of their rays."""
+    grid: Json
+    noise: NoiseEntry | None = None
+    mapping: Json
+    known: Json | None = None
+    """How much must be known of maps of real places; None where no world is one."""
+    parts: dict[str, Json] = {}
+    """Parts of samples that were asked for, each with its settings: see `scenegen.parts`."""
+
+
+class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The file."""
+
+    format: Literal["scenegen-dataset"] = "scenegen-dataset"
+    version: Literal[2] = 2
+    generator: Annotated[int, Meta(ge=1, le=MOST_SEED)]
+    """`scenegen.GENERATOR` when it was made."""
+    seed: Seed
+    counts: dict[SplitName, Count]
+    """Samples that each split is to hold."""
+    tables: RecipeEntry = msgspec.field(name="recipe")
+    scenes: dict[SplitName, list[SceneEntry]] | None = None
+    """The worlds of each split that were given as files; None where the recipe drew them."""
+    like: Digest | None = None
+    """Digest of the dataset whose worlds and poses were scanned again; None where flights were
+    planned for this one."""
+    fields: tuple[str, ...]
+    """Names of the fields that shards store."""
+    shard_samples: ShardSamples
+    engine: Annotated[str, Meta(pattern=r"\A[A-Za-z_][\w.:]{0,199}\Z")]
+    """What cast the rays."""
+    software: dict[str, Annotated[str, Meta(max_length=200)]]
+    complete: bool = False
+    shards: tuple[ShardEntry, ...] = ()
+    rejected: dict[Literal["worlds", "viewpoints"], dict[str, Count]] = {}
+    """Draws that were rejected, by reason."""
+    digest: Digest | None = None
+    """SHA-256 over the digests of all samples; None as long as shards are missing."""
+
+
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
-"""What a manifest says besides the dataset's parameters."""
-ALIKE = ("format", "generator", "fields", *NAMES)
-"""Parameters in which all datasets agree whose samples are in one, but for those that `differ`
-names."""
-MAY_DIFFER = ("fields", "lidar", "noise", "mapping")
-"""Those that it may name."""
-SEVERAL = "several"
-"""What a manifest says for a text in which the datasets differ that its samples were made for."""
+"""What a manifest says besides the dataset's parameters, which are known before anything is
+drawn."""
 
 
-def parameters(
-    recipe: "Recipe",
-    source: "Source",
-    *,
-    seed: int,
-    counts: Mapping[str, int],
-    compact: bool = False,
-    shard_samples: int = USUAL_IN_SHARD,
-    engine: str = DEFAULT,
-) -> Json:
-    """The part of the manifest that is known before anything is drawn, and decides everything
-    after.
+@dataclass(frozen=True, kw_only=True)
+class Numbering:
+    """How the samples of a split are numbered: docs/format.md. A place may be one number, or an
+    array of them."""
 
-    Args:
-        recipe: What samples hold.
-        source: Where worlds come from.
-        seed: What everything is drawn by.
-        counts: Samples of each split.
-        compact: Whether fields that follow from others are left out.
-        shard_samples: About how many samples a shard has.
-        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
+    viewpoints: int
+    """Samples of one flight."""
+    scenes: int | None
+    """Worlds from files, which flights visit in turn; None where each flight has a world of its
+    own."""
+
+    def name(self, place: Any) -> tuple[Any, Any]:
+        """(world, viewpoint) of the sample at `place` in its split."""
+        unit, view = place // self.viewpoints, place % self.viewpoints
+        if self.scenes is None:
+            return unit, view
+        return unit % self.scenes, unit // self.scenes * self.viewpoints + view
+
+    def count(self, samples: int) -> int:
+        """How many worlds the first so many samples are of."""
+        units = -(-samples // self.viewpoints)
+        return units if self.scenes is None else min(units, self.scenes)
+
+
+class Manifest(Document, frozen=True, dict=True, kw_only=True):
+    """A manifest, and where it lies. Whoever reads one calls `check` first, as `load` does."""
+
+    folder: Path = Path()
+    named: str | None = None
+    """A kind of the user's own that the user named, so that its module may be imported."""
+
+    @property
+    def kind(self) -> str:
+        """The kind of its worlds; ``scene`` for worlds from files."""
+        return self.tables.kind
+
+    @property
+    def graded(self) -> str:
+        """Its kind, and its difficulty where that is not medium: "maze-hard"."""
+        return graded(self.kind, self.tables.difficulty)
+
+    @property
+    def parameters(self) -> Json:
+        """What is known before anything is drawn, as plain JSON values."""
+        document = to_json(self)
+        return {name: value for name, value in document.items() if name not in OF_SHARDS}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of `parameters`, but for the counts of samples. Every shard carries it, so that
+        it is not taken for another dataset's; a dataset that grows keeps its shards."""
+        kept = {name: value for name, value in self.parameters.items() if name != "counts"}
+        return sha256_of(json.dumps(kept, sort_keys=True).encode())
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Every file that the manifest lists, with its SHA-256."""
+        listed = rays_digest(self.tables.lidar)
+        for entry in self.shards:
+            listed |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
+        return listed
+
+    @cached_property
+    def grid(self) -> GridSpec:
+        """The grid of its maps. Raises BrokenError."""
+        grid: GridSpec = configured(GridSpec, self.tables.grid, "recipe.grid")
+        if math.prod(grid.shape) > MOST_VOXELS:
+            raise BrokenError(
+                f"recipe.grid.shape = {list(grid.shape)}: expected {MOST_VOXELS} voxels at most"
+            )
+        return grid
+
+    @cached_property
+    def lidar(self) -> Sensor:
+        """The sensor. Raises BrokenError where the table of its rays is damaged."""
+        return sensor_of(self.tables.lidar, self.folder)
+
+    @cached_property
+    def mapping(self) -> Mapper:
+        """How maps are made. Raises BrokenError."""
+        mapping: Mapper = configured(Mapper, self.tables.mapping, "recipe.mapping")
+        shape, max_range_m = check_sensor_entry(self.tables.lidar)
+        with raised_as(BrokenError):
+            mapping.check_reach(self.grid, max_range_m, math.prod(shape), MOST_RAYS_IN_SAMPLE)
+        return mapping
+
+    @cached_property
+    def known(self) -> Known | None:
+        """How much must be known where a sensor scans a real place. Raises BrokenError."""
+        entry = self.tables.known
+        return None if entry is None else configured(Known, entry, "recipe.known")
+
+    @cached_property
+    def parts(self) -> Mapping[str, Any]:
+        """The settings of the parts of samples that were asked for. Raises BrokenError."""
+        settings = {}
+        for name, entry in self.tables.parts.items():
+            if name not in PARTS:
+                raise NewerError(
+                    f"recipe.parts: unknown {short(name)}; expected {', '.join(PARTS)}"
+                )
+            settings[name] = configured(PARTS[name].settings, entry, f"recipe.parts.{name}")
+        return settings
+
+    @property
+    def sensing(self) -> Sensing:
+        """How its samples were sensed."""
+        return Sensing(self.lidar, self.mapping, self.noise_stages)
+
+    @property
+    def noise(self) -> NoiseEntry | None:
+        """Its noise; None for clean ranges."""
+        return self.tables.noise
+
+    @property
+    def noise_stages(self) -> str:
+        """Its stages of noise as text; "" for clean ranges."""
+        return self.tables.noise.stages if self.tables.noise else ""
+
+    @property
+    def noise_is_ours(self) -> bool:
+        """Whether its noise is scenegen's own, so that nothing that the file names is imported."""
+        stages = filter(None, self.noise_stages.split(","))
+        return all(stage.partition(":")[0] in STAGES.builtin for stage in stages)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether the recipe can draw the worlds again: they are of a kind known here, or of one
+        that the user named."""
+        return self.kind in (*kind_names(), self.named)
+
+    @cached_property
+    def schema(self) -> Schema:
+        """Which fields its samples have."""
+        return schema_of(self)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What every shard has to hold."""
+        return layout_of(self.fields, self.schema)
+
+    def numbering(self, split: str) -> Numbering:
+        """How a split's samples are numbered. Raises BrokenError where the recipe does not say."""
+        viewpoints = self.tables.flight.get("viewpoints")
+        if type(viewpoints) is not int or not 1 <= viewpoints <= MOST_VIEWPOINTS:
+            raise BrokenError(
+                f"recipe.flight.viewpoints = {short(viewpoints)}: expected a whole number from 1 "
+                f"to {MOST_VIEWPOINTS}"
+            )
+        scenes = None if self.scenes is None else max(len(self.scenes.get(split, ())), 1)
+        return Numbering(viewpoints=viewpoints, scenes=scenes)
+
+    def first_place(self, entry: ShardEntry) -> int:
+        """The place of a shard's first sample in its split. Raises BrokenError."""
+        each = self.numbering(entry.split).viewpoints
+        return entry.index * max(self.shard_samples // each, 1) * each
+
+    @cached_property
+    def recipe(self) -> "Recipe":
+        """What the tables spell out: without a world where the kind is not `is_drawn`, and without
+        noise that is not ours. Raises BrokenError."""
+        from lidarsim.noise.chain import Noise
+        from scenegen.recipe import make_recipe  # which imports MuJoCo
+
+        entry, kind = self.tables, "scene"
+        tables: Json = {"flight": entry.flight, "accept": entry.accept, "grid": asdict(self.grid)}
+        if self.is_drawn:
+            kind = self.kind
+            tables |= {"world": entry.world or {}, "difficulty": entry.difficulty}
+        noise = Noise()
+        with raised_as(BrokenError, of=(RecipeError, ValueError)):
+            recipe = make_recipe(kind, tables, lidar=self.lidar)
+            if entry.noise is not None and self.noise_is_ours:
+                noise = Noise.parse(entry.noise.stages)
+                again = noise_entry(noise, self.lidar.max_range_m)
+                if again is None or again.bound_m != entry.noise.bound_m:
+                    raise ValueError(
+                        f"recipe.noise.bound_m = {entry.noise.bound_m}: its stages have "
+                        f"{again and again.bound_m} with this sensor"
+                    )
+            return replace(
+                recipe,
+                noise=noise,
+                parts=dict(self.parts),
+                mapping=self.mapping,
+                known=self.known,
+            )
+
+    def check(self) -> "Manifest":
+        """The manifest itself, where the types that readers rely on can be made of its tables, and
+        they fit together. Raises BrokenError."""
+        for split in SPLITS:
+            if split not in self.counts:
+                raise BrokenError(f"counts.{split} is missing: expected a number of samples")
+        if self.kind == "scene" and self.scenes is None:
+            raise BrokenError("scenes is missing: expected the worlds of each split")
+        check_sensor_entry(self.tables.lidar)
+        groups = groups_of(self)
+        every = [name for name, about in FIELDS.items() if about["group"] in ("", *groups)]
+        if list(self.fields) not in (every, [name for name in every if name not in DERIVED]):
+            raise BrokenError(
+                f"fields = {short(list(self.fields))}: expected {', '.join(every)}, or these "
+                f"without {' and '.join(DERIVED)}, as the recipe says"
+            )
+        for split in SPLITS:
+            total = sum(entry.samples for entry in self.shards if entry.split == split)
+            asked = self.counts[split]
+            if total > asked or (self.complete and total < asked):
+                raise BrokenError(f"counts.{split} = {asked}, but its shards hold {total} samples")
+        names = sorted(name for entry in self.shards for name in (entry.file, entry.worlds))
+        for name, same in groupby(names):
+            if len(list(same)) > 1:
+                raise BrokenError(f"shards: {name!r} is listed more than once")
+        return self
+
+
+def groups_of(described: "Recipe | Manifest") -> tuple[str, ...]:
+    """The groups of fields that samples have besides those that all have."""
+    groups = ["earlier"] if described.mapping.scans > 1 else []
+    groups += ["known"] if described.known is not None else []
+    return (*groups, *described.parts)
+
+
+def schema_of(described: "Recipe | Manifest") -> Schema:
+    """Which fields the samples have. Raises BrokenError where a table of rays is damaged."""
+    return Schema(
+        grid=described.grid,
+        lidar=described.lidar,
+        groups=groups_of(described),
+        scans=described.mapping.scans,
+    )
+
+
+def configured(config: Any, table: Any, where: str) -> Any:
+    """The dataclass `config` of a `table` of its fields; errors name `where` in the file that is.
 
     Raises:
-        DatasetError: A number is beyond those that readers take.
+        NewerError: The table has other names, too.
+        BrokenError: A value cannot be.
     """
-    more, scenes = entries(recipe), source.describe()
+    known = {item.name for item in fields(config)}
+    for name in table:
+        if name not in known:
+            raise NewerError(
+                f"{where}: unknown parameter {short(name)}: expected {', '.join(sorted(known))}"
+            )
+    with raised_as(BrokenError, f"{where}.", of=(ValueError, TypeError)):
+        return config(**table)
+
+
+def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
+    """What a manifest says of noise on a sensor of that range; None without stages. Raises
+    BrokenError for noise that no manifest can hold."""
+    if not noise.stages:
+        return None
+    bound_m = noise.bound_m(max_range_m)
+    entry = {
+        "stages": noise.spelled(),
+        "bound_m": bound_m if math.isfinite(bound_m) else None,
+        "version": NOISE_VERSION,
+    }
+    with raised_as(BrokenError, "recipe.noise: "):
+        return msgspec.convert(entry, NoiseEntry)
+
+
+def mapping_entry(mapping: Mapper) -> Json:
+    """Every parameter of how maps are made; those of the default for what is the same."""
+    return plain(asdict(Mapper() if mapping.plain else mapping))
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON would give it back."""
+    return json.loads(json.dumps(value))
+
+
+def stem_of(split: str, index: int) -> str:
+    """What the files of a split's shard are called, less their endings. It depends on nothing else,
+    so that a dataset grows and no file moves."""
+    stem = f"{split}-{index:05d}"
+    if index < 10**INDEX_DIGITS:
+        return stem
+    return f"{stem[:-INDEX_DIGITS]}{'x' * INDEX_DIGITS}/{stem}"
+
+
+def pattern_of(file: str) -> str:
+    """What fits a file's name and those of all others of its sort, in which numbers differ."""
+    return re.sub("-[0-9]+", "-*", file)
+
+
+def to_json(manifest: Document) -> Json:
+    """What stands in the file, as plain JSON values."""
     return {
-        "format": FORMAT,
-        "version": version_of(more),
-        "generator": GENERATOR,
-        "kind": recipe.kind,
-        "seed": whole_number("--seed", seed, 0, MOST_SEED),
-        "counts": {split: counts[split] for split in SPLITS},
-        "recipe": plain(recipe.resolved() | ({"scenes": scenes} if scenes else {})),
-        "fields": list(schema_of(recipe).stored(compact=compact)),
-        **more,
-        "shard_samples": whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD),
-        **({} if engine == MUJOCO else {"engine": engine}),
-        "software": software(),
+        item.encode_name: msgspec.to_builtins(getattr(manifest, item.name))
+        for item in msgspec.structs.fields(Document)
     }
 
 
-def version_of(given: Json) -> int | float | str:
-    """The version of a manifest that has the entries `given`, as it stands in the file."""
-    asked = [since for name, since in SINCE.items() if given.get(name) is not None]
-    return max((VERSION, *asked), key=VERSIONS.index)
+def encode(manifest: Document) -> bytes:
+    """The content of the file."""
+    return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
 
 
-def is_later(document: Json) -> bool:
-    """Whether a manifest says that a later version of scenegen wrote it."""
-    software = document.get("software")
-    said = software.get("scenegen") if isinstance(software, dict) else ""
+def write(folder: Path, manifest: Document) -> None:
+    """Replace the manifest of `folder`."""
+    write_whole(folder / NAME, encode(manifest))
+
+
+class _Head(Struct):
+    """What is read first, to tell other files and other versions from damaged ones."""
+
+    format: Any = None
+    version: Any = None
+    software: Any = None
+
+
+def parse(content: bytes, folder: Path = Path(), named: str | None = None) -> Manifest:
+    """The manifest in `content`, which lies in `folder`; `named` is the kind that the user named.
+
+    Raises BrokenError with what is wrong, where, and what was expected; NewerError where a newer
+    scenegen wrote it; DatasetError where it is no manifest, or of an earlier format.
+    """
+    try:
+        head = msgspec.json.decode(content, type=_Head)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise BrokenError(f"is no JSON of a dataset ({printable(error)[:200]})") from None
+    if head.format != FORMAT:
+        raise DatasetError(f'is not a scenegen dataset\'s, expected "format": "{FORMAT}"')
+    version = head.version if isinstance(head.version, int | float) else 0
+    if head.version != VERSION:
+        if version > VERSION:
+            raise NewerError(f"format version {short(head.version)}: this scenegen reads {VERSION}")
+        raise DatasetError(
+            f"format version {short(head.version)}: scenegen 0.3 reads {VERSION} alone; generate "
+            "the dataset again, or read it with scenegen 0.2"
+        )
+    try:
+        document = msgspec.json.decode(content, type=Document)
+        values = {name: getattr(document, name) for name in Document.__struct_fields__}
+        return Manifest(**values, folder=folder, named=named).check()
+    except (msgspec.MsgspecError, RecursionError, BrokenError) as error:
+        fault = re.sub(r"^(.*) - at `\$\.?(.*)`$", r"\2: \1", printable(error))
+    made_by = head.software.get("scenegen") if isinstance(head.software, dict) else None
+    raise NewerError(fault) if _is_later(made_by) else BrokenError(fault)
+
+
+def _is_later(version: Any) -> bool:
+    """Whether a version of scenegen, as a manifest names it, is later than this one."""
     theirs, ours = (
-        list(map(int, re.findall(r"[0-9]{1,9}", str(one)[:50]))) for one in (said, __version__)
+        list(map(int, re.findall(r"[0-9]{1,9}", str(text)[:50]))) for text in (version, __version__)
     )
     return theirs > ours
 
 
-def _pair(version: Any) -> tuple[int, ...]:
-    """A version as whole numbers, major first; (0, 0) for what is none."""
-    numbers = re.fullmatch(r"([0-9]{1,9})(?:\.([0-9]{1,9}))?", short(version).strip("'"))
-    return (int(numbers[1]), int(numbers[2] or 0)) if numbers else (0, 0)
-
-
-def parameters_of(document: Json) -> Json:
-    """The `parameters` of a manifest, as they stand in it: all that it does not say of its
-    shards."""
-    return {name: value for name, value in document.items() if name not in OF_SHARDS}
-
-
-def completed(document: Json) -> Json:
-    """The `parameters` of a manifest, with the generator and the engine, where it does not name
-    them."""
-    return {**UNNAMED, **parameters_of(document)}
-
-
-def fingerprint(given: Json) -> str:
-    """A digest of `parameters`, the same for the same dataset."""
-    return sha256_of(json.dumps(given, sort_keys=True).encode())
-
-
-def differing(given: Json, others: Iterable[Json]) -> list[str]:
-    """Those of `ALIKE` in which `others` are not as the parameters `given`."""
-    return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
-
-
-def differences(
-    there: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
-) -> list[str]:
-    """Where two sets of parameters differ.
-
-    Args:
-        there: The first set.
-        asked: The second set.
-        words: What the values of the first and of the second set are called.
-        prefix: Stands before every name.
-
-    Returns:
-        Lines such as "grid.voxel is 0.2 there, 0.1 asked for": nested names are joined by dots, and
-        the items of a list of tables named by their places.
-    """
-    found = []
-    for name in [*there, *(name for name in asked if name not in there)]:
-        old, new = (_numbered(given.get(name, "absent")) for given in (there, asked))
-        if isinstance(old, dict) and isinstance(new, dict):
-            found += differences(old, new, words, f"{prefix}{name}.")
-        elif old != new:
-            found.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} {words[0]}, "
-                f"{_said(new)} {words[1]}"
-            )
-    return found
-
-
-def _numbered(value: Any) -> Any:
-    """A list of tables as a table of them by their places; anything else as it is."""
-    tables = isinstance(value, list) and value and isinstance(value[0], dict)
-    return dict(enumerate(value)) if tables else value
-
-
-def _said(value: Any) -> str:
-    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
-    text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
-
-
-def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -> Json:
-    """The manifest of the shards reported, in order."""
-    rejected = {
-        what: sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
-        for what in ("worlds", "viewpoints")
-    }
-    digest = sha256_of(b"".join(report.digests for report in reports))
-    return {
-        **given,
-        "complete": complete,
-        "shards": [report.entry() for report in reports],
-        "rejected": {what: dict(sorted(counts.items())) for what, counts in rejected.items()},
-        "digest": digest if complete else None,
-    }
-
-
-def write(folder: Path, manifest: Json) -> None:
-    """Replace the manifest of `folder`; at a place, the one that was read last.
-
-    If another run has put one there meanwhile, a complete one stays, and this one takes the place
-    of any other; they may list other shards, but none differently. Raises StoreError where it is of
-    another dataset.
-    """
-    content = (json.dumps(manifest, indent=1) + "\n").encode()
-    while True:  # until no other run puts one between
-        try:
-            write_whole(folder / NAME, content)
-            return
-        except ConflictError:
-            there = read(folder)
-        if parameters_of(there) != parameters_of(manifest):
-            raise StoreError(
-                f"{folder}: another run has begun another dataset there; choose another --out for "
-                f"one"
-            )
-        if there["complete"]:
-            if manifest["complete"]:
-                raise StoreError(
-                    f"{folder}: another run has completed it with other bytes; give the same "
-                    f"command again"
-                )
-            return
-
-
-def read(folder: Path, name: str = "") -> Json:
-    """The manifest of `folder`, which errors call `name`, as it stands there, its values unchecked.
-
-    Raises DatasetError where it has none that this version can read.
-    """
-    path = f"{name or folder}/{NAME}"
+def load(folder: Path, name: str = "") -> Manifest:
+    """The manifest of `folder`, which errors call `name`. Raises DatasetError."""
+    where, content = f"{name or folder}: {NAME}", read_content(folder, name)
     try:
-        manifest = json.loads(read_bounded(folder / NAME, MOST_MANIFEST_BYTES).decode())
-        if _depth(manifest) > MOST_DEPTH:
-            raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
+        return parse(content, folder)
+    except NewerError as error:
+        raise DatasetError(
+            f"{where}: a newer scenegen wrote it: {error}; read it with that one"
+        ) from None
+    except BrokenError as error:
+        fault = printable(error)[:300]
+        raise DatasetError(
+            f"{where} is damaged: {fault}; copy the dataset again, or generate it"
+        ) from None
+    except DatasetError as error:
+        raise DatasetError(f"{where} {error}") from None
+
+
+def read_content(folder: Path, name: str = "") -> bytes:
+    """The bytes of the manifest of `folder`, which errors call `name`. Raises DatasetError where
+    there is none."""
+    try:
+        return read_bounded(folder / NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         lacks = f"it has no {NAME}" if Path(folder).exists() else "there is no such folder"
         inner, others = (
@@ -250,38 +563,54 @@ def read(folder: Path, name: str = "") -> Json:
         for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), others, 1, 0.8):
             lacks += f"; did you mean {near}?"
         raise DatasetError(
-            f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`"
+            f"{name or folder}: not a dataset, {lacks}; make one with `scenegen generate`"
         ) from None
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
         raise DatasetError(
-            f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or "
-            "generate it in another folder"
+            f"{name or folder}/{NAME}: cannot be read ({printable(error)[:200]})"
         ) from None
-    if (
-        not isinstance(manifest, dict)
-        or manifest.get("format") != FORMAT
-        or "shards" not in manifest
-    ):
-        raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    if (there := manifest.get("version")) not in VERSIONS:
-        more = (
-            "a newer scenegen wrote it; read it with that one"
-            if _pair(there) > _pair(VERSIONS[-1])
-            else "copy the dataset again"
-        )
-        raise DatasetError(
-            f"{path}: format version {short(there)}, this scenegen reads up to {VERSIONS[-1]}; "
-            f"{more}"
-        )
-    return manifest
 
 
-def _depth(value: Any) -> int:
-    """How deep a JSON value nests."""
-    depth, level = 0, [value]
-    while level := [one for one in level if isinstance(one, (dict, list))]:
-        depth += 1
-        level = [
-            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
-        ]
-    return depth
+def differences(
+    stored: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
+) -> list[str]:
+    """Where two sets of parameters differ.
+
+    Args:
+        stored: The first set.
+        asked: The second set.
+        words: What the values of the first and of the second set are called.
+        prefix: Stands before every name.
+
+    Returns:
+        Lines such as "grid.voxel_m is 0.2 there, 0.1 asked for": nested names are joined by dots,
+        and the items of a list of tables named by their places.
+    """
+    lines = []
+    for name in [*stored, *(name for name in asked if name not in stored)]:
+        old, new = (_numbered(table.get(name, "absent")) for table in (stored, asked))
+        if isinstance(old, dict) and isinstance(new, dict):
+            lines += differences(old, new, words, f"{prefix}{name}.")
+        elif old != new:
+            lines.append(
+                f"{short(f'{prefix}{name}')[1:-1]} is {_shown(old)} {words[0]}, "
+                f"{_shown(new)} {words[1]}"
+            )
+    return lines
+
+
+def _numbered(value: Any) -> Any:
+    """A list of tables as a table of them by their places; anything else as it is."""
+    tables = isinstance(value, list) and value and isinstance(value[0], dict)
+    return dict(enumerate(value)) if tables else value
+
+
+def _shown(value: Any) -> str:
+    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
+    text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+
+
+def total_digest(digests: Sequence[bytes]) -> str:
+    """The digest of a dataset of the digests of its samples, 32 bytes each, in order."""
+    return sha256_of(b"".join(digests))

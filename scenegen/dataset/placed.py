@@ -1,23 +1,31 @@
 """Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
 store."""
 
-import json
-import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of, whole
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
-from scenegen.dataset.trust import Entry
+import msgspec
+
+from scenegen.dataset.manifest import ShardEntry
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
 from scenegen.errors import DatasetError
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import StorePath, Version
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
+
+
+class Note(msgspec.Struct):
+    """What a job wrote of a dataset."""
+
+    parameters: str
+    """The dataset's fingerprint."""
+    shards: list[ShardEntry]
 
 
 def write_note(
@@ -26,23 +34,21 @@ def write_note(
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
     parameters have the digest `parameters`."""
     name = sha256_of("\n".join(part).encode())[:12]
-    shards = [report.entry() for report in reports]
-    content = json.dumps({"parameters": parameters, "shards": shards})
-    write_whole(folder / f"dataset.part-{name}.json", content.encode())
+    note = Note(parameters=parameters, shards=[report.entry for report in reports])
+    content = msgspec.json.encode(note)
+    write_whole(folder / f"dataset.part-{name}.json", content)
 
 
-def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
+def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
     """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not
     there."""
-    found: dict[str, Entry] = {}
+    entries: dict[str, ShardEntry] = {}
     for path in folder.glob(NOTES):
-        with suppress(OSError, ValueError, RecursionError, DatasetError):
-            said = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
-            check(said, {"parameters": DIGEST, "shards": LIST}, "")
-            if said["parameters"] == parameters:
-                entries = [Entry(**checked(Entry, entry, "")) for entry in said["shards"]]
-                found |= {entry.file: entry for entry in entries}
-    return found
+        with suppress(OSError, msgspec.MsgspecError, RecursionError, DatasetError):
+            note = msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=Note)
+            if note.parameters == parameters:
+                entries |= {entry.file: entry for entry in note.shards}
+    return entries
 
 
 def remove_notes(folder: Path) -> None:
@@ -58,7 +64,7 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 """A report is no larger."""
 
 
-def write_shard(spec: ShardTask) -> ShardReport:
+def write_shard(spec: ShardSpec) -> ShardReport:
     """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
     for its files. Raises GenerationError, DatasetError, StoreError."""
     report = spec.write()
@@ -68,7 +74,7 @@ def write_shard(spec: ShardTask) -> ShardReport:
 
 
 def look(
-    there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
+    there: Mapping[str, Version], tasks: Sequence[tuple[ShardSpec, ShardEntry | None]]
 ) -> Iterator[ShardReport | None]:
     """The reports of shards, each with what the manifest lists of it, at the place where objects
     are `there`, by their versions; None for one that is not as it should be.
@@ -78,11 +84,11 @@ def look(
     StoreError.
     """
 
-    def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    def one(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
         spec, listed = task
         now = [there.get(name) for name in (spec.file, spec.worlds)]
         report = _noted(spec, now, there) if None not in now else None
-        if report is None or (listed and report.sums != listed.sums):
+        if report is None or (listed and report.entry.sums != listed.sums):
             report = read_report(task)
             if report is None:
                 for place in _places(spec):
@@ -97,45 +103,63 @@ def look(
         yield from pool.map(one, tasks)
 
 
-def _places(spec: ShardTask) -> list[Any]:
+def _places(spec: ShardSpec) -> list[Any]:
     """Where its objects are, the samples, which commit it, first."""
     return [spec.folder / spec.file, spec.folder / spec.worlds]
 
 
-def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> Json:
-    """What stands in the report beside a shard whose objects are of these versions."""
-    return {
-        "parameters": spec.parameters,
-        "versions": versions,
-        **report.entry(),
-        "size": report.size,
-        "rejected": report.rejected,
-        "digests": report.digests.hex(),
-    }
+class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
+    """The report beside a shard."""
+
+    parameters: str
+    versions: list[Version]
+    entry: ShardEntry
+    size: int
+    rejected: dict[str, dict[str, int]]
+    digests: str
+
+    def report(self) -> ShardReport:
+        """What it says of the shard."""
+        return ShardReport(
+            entry=self.entry,
+            size=self.size,
+            rejected={what: Counter(counts) for what, counts in self.rejected.items()},
+            digests=bytes.fromhex(self.digests),
+        )
 
 
-def _note(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> None:
-    content = json.dumps(_said(spec, report, versions)).encode()
+def _note(spec: ShardSpec, report: ShardReport, versions: Sequence[Version]) -> None:
+    placed = PlacedReport(
+        parameters=spec.parameters,
+        versions=list(versions),
+        entry=report.entry,
+        size=report.size,
+        rejected={what: dict(counts) for what, counts in report.rejected.items()},
+        digests=report.digests.hex(),
+    )
     assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), content)
+    spec.folder.store.put(_report_name(spec), msgspec.json.encode(placed))
 
 
-def _report_name(spec: ShardTask) -> str:
+def _report_name(spec: ShardSpec) -> str:
     return spec.file.removesuffix(".h5") + SUFFIX
 
 
 def _noted(
-    spec: ShardTask, now: Sequence[Version], there: Mapping[str, Version]
+    spec: ShardSpec, now: Sequence[Version], there: Mapping[str, Version]
 ) -> ShardReport | None:
     """What the report beside a shard says, if it is of just these objects."""
     if (name := _report_name(spec)) not in there:
         return None
-    with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError, KeyError, TypeError):
-        said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        check(said, {**rules_of(Entry), "size": whole(0, sys.maxsize)}, "")
-        check(said["rejected"], REJECTED, "")
-        sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
-        report = report_of(spec, sums, said["size"], said["rejected"], digests)
-        if said == _said(spec, report, now) and len(digests) == 32 * spec.samples:
+    with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError):
+        content = read_bounded(spec.folder / name, MOST_BYTES)
+        placed = msgspec.json.decode(content, type=PlacedReport)
+        report = placed.report()
+        if (
+            placed.parameters == spec.parameters
+            and placed.versions == list(now)
+            and placed.entry == report_of(spec, placed.entry.sums, 0, {}, b"").entry
+            and len(report.digests) == 32 * spec.samples
+        ):
             return report
     return None

@@ -1,27 +1,35 @@
-"""Read a dataset: samples by split and number, with what was left out derived, and the worlds they
-come from."""
+"""Read datasets: samples by split and number, with what was left out derived, and the worlds they
+come from.
+
+A `Dataset` is a folder. A `Collection` is several datasets, or some of their samples, read as one.
+Both give `Split`s.
+"""
 
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import cached_property, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from lidarsim import fuse
 from lidarsim.grid import Ints
 from scenegen import SPLITS
-from scenegen.dataset import trust
+from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
+from scenegen.dataset.manifest import Manifest, ShardEntry
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
+from scenegen.files import sha256_of
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
+from scenegen.worlds.mapping import Sensing
 
 if TYPE_CHECKING:  # which imports MuJoCo
     from scenegen.worlds.world import AnyWorld
@@ -29,8 +37,6 @@ if TYPE_CHECKING:  # which imports MuJoCo
 MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
 open."""
-
-
 FIRST = itemgetter(0)
 
 
@@ -55,59 +61,76 @@ class Dataset:
     """A dataset folder, opened for reading.
 
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
-    Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
-    Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
-    of them has them `whole`.
+
+    Args:
+        folder: The folder.
+        partial: Whether an incomplete dataset is opened, too.
+        checked: Whether every file is held against its sum when it is opened, and every sample
+            against its digest: for who writes new data from it.
+
+    Raises:
+        DatasetError: The folder holds no dataset, or, unless `partial`, an incomplete one.
     """
 
-    def __init__(
-        self,
-        folder: Path | str,
-        *,
-        partial: bool = False,
-        checked: bool = False,
-        whole: bool = False,
-    ):
+    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
         self.folder = Path(folder)
-        self.checked, self.whole = checked, whole
+        self.checked = checked
         self._sound: set[str] = set()
         self._splits: dict[str, Split] = {}
-        self.manifest = trust.load(self.folder)
+        self.manifest = manifest.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
-            self.settings = self.manifest.settings
-            """How the samples of each of the datasets that they were made for were sensed; `lidar`
-            is that of the first."""
+            _ = self.manifest.schema
         if not (self.manifest.complete or partial):
             raise DatasetError(
                 f"{self.folder}: incomplete; give the command that made it again to go on where "
                 f"it was"
             )
 
+    @property
+    def datasets(self) -> "tuple[Dataset, ...]":
+        """This one: what a `Collection` has several of."""
+        return (self,)
+
+    @property
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of the `datasets` were sensed."""
+        return (self.manifest.sensing,)
+
+    @property
+    def name(self) -> str:
+        """What errors and reports call it."""
+        return str(self.folder)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the digests of all samples; "None" of an incomplete one."""
+        return str(self.manifest.digest)
+
+    @property
+    def kind(self) -> str:
+        """The kind of its worlds, with the difficulty where that is not medium."""
+        return self.manifest.graded
+
     def split(self, name: str) -> "Split":
         """The samples of a split: train, val or test. Raises DatasetError for another name."""
-        if name not in SPLITS:
-            raise DatasetError(
-                f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
-            )
-        if name not in self._splits:  # made once: it may have very many shards
-            self._splits[name] = Split(self, name)
+        if check_split(name, self.name) not in self._splits:  # made once: it may have many shards
+            pieces = [Piece(self, entry) for entry in self.manifest.shards if entry.split == name]
+            self._splits[name] = Split(self, name, pieces)
         return self._splits[name]
 
     def __fspath__(self) -> str:
         return str(self.folder)
 
     def __repr__(self) -> str:
-        return f"<Dataset: {self.manifest.graded}, seed {self.manifest.seed}, in {self.folder}>"
+        return f"<Dataset: {self.kind}, seed {self.manifest.seed}, in {self.folder}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: what the dataset is, and the samples of its splits."""
-        it = self.manifest
         rows: list[tuple[str, object]] = [
             (name, f"{len(self.split(name))} samples") for name in SPLITS
         ]
-        rows += [("grid", self.grid), ("sensor", self.lidar), ("digest", it.digest)]
+        rows += [("grid", self.grid), ("sensor", self.lidar), ("digest", self.digest)]
         return html_table(rows, self)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
@@ -116,9 +139,8 @@ class Dataset:
 
         Raises DatasetError where there is no such world.
         """
-        shards = self._by_world.get(split, [])
-        for first, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
-            member = f"{number - first + shard.first_world:06d}.xml"
+        shards, member = self._by_world.get(split, []), f"{number:06d}.xml"
+        for _, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
             with (
                 advised(self.folder),
                 self._open(shard.worlds, shard.worlds_sha256) as file,
@@ -142,37 +164,36 @@ class Dataset:
             return archived_world(document, files, name=name)
 
     @cached_property
-    def _by_world(self) -> dict[str, list[tuple[int, trust.Entry]]]:
+    def _by_world(self) -> dict[str, list[tuple[int, ShardEntry]]]:
         """The shards of each split, with the number of the first world of each, in the order of
         these: there may be very many, of which one is looked for."""
-        before = self.manifest.first_worlds
-        found = [
-            (before[entry.split, entry.source] + entry.first_world, entry)
-            for entry in self.manifest.shards
-        ]
         return {
-            split: sorted((one for one in found if one[1].split == split), key=FIRST)
+            split: sorted(
+                (
+                    (entry.first_world, entry)
+                    for entry in self.manifest.shards
+                    if entry.split == split
+                ),
+                key=FIRST,
+            )
             for split in SPLITS
         }
 
-    def _shard(self, entry: trust.Entry) -> ShardFile:
-        """An open shard, of this dataset by its own word."""
+    def open_shard(self, entry: ShardEntry) -> ShardFile:
+        """An open shard, of this dataset by its own word. Raises DatasetError."""
         path = self.folder / entry.file
-        home = self.manifest.home(entry)
         with advised(self.folder):
-            shard = open_shard(
+            file = (
                 self._open(entry.file, entry.sha256)
-                if self.checked or self.whole
-                else open_fetched(path, entry.samples),
-                path,
-                entry.samples,
-                home.layout,
+                if self.checked
+                else open_fetched(path, entry.samples)
             )
+            shard = open_shard(file, path, entry.samples, self.manifest.layout)
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
                 worlds_sha256=entry.worlds_sha256,
-                parameters=home.fingerprint,
+                parameters=self.manifest.fingerprint,
             )
         return shard
 
@@ -189,16 +210,176 @@ class Dataset:
         return file
 
 
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The samples of one shard that a split has."""
+
+    dataset: Dataset
+    entry: ShardEntry
+    rows: Ints | None = None
+    """The rows of the shard that are taken, in order; None for all."""
+    first_world: int = 0
+    """What is added to the numbers of its worlds, so that those of a collection differ."""
+
+    def __len__(self) -> int:
+        return self.entry.samples if self.rows is None else len(self.rows)
+
+    def row(self, within: int) -> int:
+        """The shard's row of one of its samples."""
+        return within if self.rows is None else int(self.rows[within])
+
+    def names(self) -> Ints:
+        """World and viewpoint of its samples, (2, N). Raises BrokenError."""
+        manifest, split = self.dataset.manifest, self.entry.split
+        rows = np.arange(self.entry.samples) if self.rows is None else self.rows
+        places = manifest.first_place(self.entry) + rows
+        world, viewpoint = manifest.numbering(split).name(places)
+        return np.array([world + self.first_world, viewpoint])
+
+
+class Collection:
+    """Several datasets, or some of their samples, read as one.
+
+    Args:
+        datasets: The datasets, which share a grid.
+        name: What errors call it.
+        chosen: For some of the datasets, by their number, the samples of each split that are taken,
+            by their numbers in it, rising; all of the others.
+
+    Raises:
+        DatasetError: The datasets have different grids, two of them are the same, or a world that
+            was given as a file is in two splits.
+    """
+
+    def __init__(
+        self,
+        datasets: Sequence[Dataset],
+        name: str,
+        chosen: Mapping[int, Mapping[str, Sequence[int]]] | None = None,
+    ):
+        if not datasets:
+            raise DatasetError(f"{name}: holds no dataset")
+        self.datasets = tuple(datasets)
+        self.name = name
+        self.grid, self.lidar = datasets[0].grid, datasets[0].lidar
+        self.chosen = chosen or {}
+        self._splits: dict[str, Split] = {}
+        check_together(self.datasets)
+
+    @property
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of the `datasets` were sensed."""
+        return tuple(dataset.manifest.sensing for dataset in self.datasets)
+
+    @property
+    def digest(self) -> str:
+        """What tells its samples from all others."""
+        chosen = [
+            {split: list(numbers) for split, numbers in self.chosen[n].items()}
+            if n in self.chosen
+            else None
+            for n in range(len(self.datasets))
+        ]
+        parts = [dataset.digest for dataset in self.datasets]
+        return sha256_of(repr((parts, chosen)).encode())
+
+    @property
+    def kind(self) -> str:
+        """The kinds of its worlds."""
+        return "+".join(dict.fromkeys(dataset.kind for dataset in self.datasets))
+
+    def split(self, name: str) -> "Split":
+        """The samples of a split, dataset by dataset. Raises DatasetError for another name."""
+        if check_split(name, self.name) not in self._splits:
+            pieces, first_world = list[Piece](), 0
+            for n, dataset in enumerate(self.datasets):
+                split = dataset.split(name)
+                numbers = self.chosen[n].get(name, ()) if n in self.chosen else None
+                pieces += split.taken(numbers, first_world)
+                counts = dataset.manifest.counts[name]
+                first_world += dataset.manifest.numbering(name).count(counts)
+            self._splits[name] = Split(self, name, pieces)
+        return self._splits[name]
+
+    def world(self, split: str, number: int) -> dict[str, bytes]:
+        """See `Dataset.world`."""
+        dataset, own = self._world(split, number)
+        return dataset.world(split, own)
+
+    def compile(self, split: str, number: int) -> "AnyWorld":
+        """See `Dataset.compile`."""
+        dataset, own = self._world(split, number)
+        return dataset.compile(split, own)
+
+    def _world(self, split: str, number: int) -> tuple[Dataset, int]:
+        """The dataset of a world, and its number there."""
+        for dataset in self.datasets:
+            worlds = dataset.manifest.numbering(split).count(dataset.manifest.counts[split])
+            if number < worlds:
+                return dataset, number
+            number -= worlds
+        raise DatasetError(f"{self.name}: has no such world in its {split} split")
+
+    def __repr__(self) -> str:
+        return f"<Collection: {self.name}, {len(self.datasets)} datasets>"
+
+
+AnyDataset: TypeAlias = Dataset | Collection
+"""What can be read by split."""
+
+
+def check_split(name: str, where: str) -> str:
+    """`name`, if it is that of a split. Raises DatasetError, which begins with `where`."""
+    if name not in SPLITS:
+        raise DatasetError(
+            f"{where}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
+        )
+    return name
+
+
+def check_together(datasets: Sequence[Dataset]) -> None:
+    """Raise DatasetError unless `datasets` can be read as one: of one grid, no two with the same
+    samples, and no world in two splits, as far as manifests say; `verify` looks at the worlds
+    themselves."""
+    first = datasets[0]
+    by_parameters = dict[str, Dataset]()
+    split_of_world = dict[str, tuple[str, Dataset]]()
+    for dataset in datasets:
+        if dataset.grid != first.grid:
+            raise DatasetError(
+                f"{dataset.name}: its grid is {dataset.grid}, that of {first.name} is "
+                f"{first.grid}; read datasets together that share it"
+            )
+        # the counts and the size of shards decide no sample
+        drawn_by = {
+            name: value
+            for name, value in dataset.manifest.parameters.items()
+            if name not in ("counts", "shard_samples", "software", "fields")
+        }
+        other = by_parameters.setdefault(repr(drawn_by), dataset)
+        if other is not dataset:
+            raise DatasetError(
+                f"{dataset.name}: holds the same samples as {other.name}; leave one of the two out"
+            )
+        for split, scenes in (dataset.manifest.scenes or {}).items():
+            for scene in scenes:
+                before, owner = split_of_world.setdefault(scene.sha256, (split, dataset))
+                if before != split:
+                    raise DatasetError(
+                        f"{dataset.name}: its {split} world {short(scene.file)} is a {before} "
+                        f"world of {owner.name}; no world may be in two splits"
+                    )
+
+
 class Split(Samples):
     """The samples of one split, in order. Files are opened when first read, and anew in every
     process that reads."""
 
-    def __init__(self, dataset: Dataset, name: str):
+    def __init__(self, dataset: AnyDataset, name: str, pieces: Sequence[Piece]):
         self.dataset = dataset
         self.name = name
-        self.shards = [shard for shard in dataset.manifest.shards if shard.split == name]
-        """Its shards, as the manifest lists them."""
-        self._start = np.cumsum([0, *(shard.samples for shard in self.shards)])
+        self.pieces = tuple(pieces)
+        self._start = np.cumsum([0, *map(len, pieces)])
         self._open: dict[int, ShardFile] = {}
         self._process = os.getpid()
 
@@ -211,48 +392,50 @@ class Split(Samples):
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
+        piece = self.pieces[number]
         # this says at once if the file is missing or not this dataset's
-        if self._shard(number).fetched or self.dataset.checked:
+        if self._shard(number).fetched or piece.dataset.checked:
             self.check(index)
-        home, find = self.home(index), partial(self._find, number, row)
-        return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)
+        manifest, find = piece.dataset.manifest, partial(self._find, number, row)
+        return Sample.lazy(manifest.schema.names, find, lidar=manifest.lidar, grid=manifest.grid)
 
     def check(self, index: int) -> None:
         """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
         `tudf` have no part in that."""
         number, row = self._place(index)
-        with advised(self.dataset.folder):
+        with advised(self.pieces[number].dataset.folder):
             self._shard(number).check(row)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
     def __repr__(self) -> str:
-        return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
+        return f"<Split: {len(self)} samples of {self.dataset.name}, {self.name}>"
 
     @property
     def schema(self) -> Schema:
-        """The schema of its samples; where sources differ, that of the first."""
-        return self.dataset.manifest.schema
+        """The schema of its samples; where datasets differ, that of the first."""
+        return self.schemas[0]
 
-    @property
+    @cached_property
     def schemas(self) -> Sequence[Schema]:
-        """The schemas of the sources that it has samples of."""
-        homes = self.dataset.manifest.homes
-        return [homes[n].schema for n in sorted({shard.source for shard in self.shards})]
+        """The schemas of the datasets that it has samples of."""
+        datasets = dict.fromkeys(piece.dataset for piece in self.pieces)
+        return [one.manifest.schema for one in datasets or self.dataset.datasets]
 
     def _place(self, index: int) -> tuple[int, int]:
-        """Shard, and row in it, of sample `index`."""
+        """The number of the piece with sample `index`, and the row in its shard."""
         index = self._checked(index)
-        shard = int(np.searchsorted(self._start, index, side="right")) - 1
-        return shard, index - int(self._start[shard])
+        number = int(np.searchsorted(self._start, index, side="right")) - 1
+        return number, self.pieces[number].row(index - int(self._start[number]))
 
     def _shard(self, number: int) -> ShardFile:
         if (
             self._process != os.getpid()
         ):  # a forked process has handles of its own to close, and opens its own files
             self._open, self._process = {}, os.getpid()
-        shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
+        piece = self.pieces[number]
+        shard = self._open.pop(number, None) or piece.dataset.open_shard(piece.entry)
         self._open[number] = shard  # last in line: the one used longest ago stands first
         for old in list(self._open)[:-MOST_OPEN]:
             self._open.pop(old, None)  # closed once no other thread reads from it
@@ -261,51 +444,48 @@ class Split(Samples):
     def _find(self, number: int, row: int, sample: Sample, name: str) -> Any:
         """A field of the sample in a row of a shard: as it is stored, or derived from the other
         fields. Raises DatasetError."""
-        it, shard = self.dataset, self._shard(number)
-        home = it.manifest.home(self.shards[number])
-        with advised(it.folder):
-            if name in home.fields:
+        piece, shard = self.pieces[number], self._shard(number)
+        manifest = piece.dataset.manifest
+        with advised(piece.dataset.folder):
+            if name in manifest.fields:
                 value = shard.value(name, row)
-                return value + self.first_worlds[number] if name == "world" else value
+                return value + piece.first_world if name == "world" else value
             if name == "tudf":
-                return distance_field(sample.occupancy, it.grid)
+                return distance_field(sample.occupancy, manifest.grid)
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
-                return fuse(sample.scans()[::-1], it.grid, sample.origin, home.mapping).free
-
-    @cached_property
-    def first_worlds(self) -> list[int]:
-        """What is added to the numbers of worlds that a shard holds, by shard."""
-        first = self.dataset.manifest.first_worlds
-        return [first[self.name, entry.source] for entry in self.shards]
+                scans = sample.scans()[::-1]
+                return fuse(scans, manifest.grid, sample.origin, manifest.mapping).free
 
     def first(self, number: int) -> int:
-        """The number of a shard's first sample."""
+        """The number of a piece's first sample."""
         return int(self._start[number])
 
-    def places(self, number: int) -> Ints:
-        """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
-        Raises DatasetError."""
-        entry = self.shards[number]
-        if not entry.cut:
-            return np.arange(entry.start, entry.stop)
-        shard = self._shard(number)
-        with advised(self.dataset.folder):
-            numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            return numbering.place(shard.column("world"), shard.column("viewpoint"))
+    def taken(self, numbers: Sequence[int] | None, first_world: int = 0) -> list[Piece]:
+        """The pieces with the samples `numbers` alone, rising, or with all; `first_world` is added
+        to the numbers of their worlds."""
+        pieces = []
+        chosen = None if numbers is None else np.asarray(numbers, np.int64)
+        for number, piece in enumerate(self.pieces):
+            rows = piece.rows
+            if chosen is not None:
+                begin, end = self._start[number : number + 2]
+                low, high = np.searchsorted(chosen, [begin, end])
+                within = chosen[low:high] - begin
+                rows = within if piece.rows is None else piece.rows[within]
+            if rows is None or len(rows):
+                pieces.append(Piece(piece.dataset, piece.entry, rows, first_world))
+        return pieces
 
-    def numbers_in(self, number: int) -> Ints:
-        """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""
-        with advised(self.dataset.folder):
-            numbering = self.dataset.manifest.home(self.shards[number]).numbering(self.name)
-        world, viewpoint = numbering.name(self.places(number))
-        return np.array([world + self.first_worlds[number], viewpoint])
+    def names_in(self, number: int) -> Ints:
+        """World and viewpoint of a piece's samples, (2, N). Raises DatasetError."""
+        with advised(self.pieces[number].dataset.folder):
+            return self.pieces[number].names()
 
     @cached_property
     def numbers(self) -> Ints:
-        """World and viewpoint of all samples, (2, samples); files are opened only where samples
-        were left out between others. Raises DatasetError."""
-        found = map(self.numbers_in, range(len(self.shards)))
-        return np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
+        """World and viewpoint of all samples, (2, samples). Raises DatasetError."""
+        names = map(self.names_in, range(len(self.pieces)))
+        return np.concatenate([np.empty((2, 0), np.int64), *names], axis=1)
 
     def count_worlds(self) -> int:
         """How many worlds its samples are of."""
@@ -313,15 +493,15 @@ class Split(Samples):
 
     def by_kind(self) -> dict[str, list[int]]:
         """The numbers of its samples by the kind of their worlds, and its difficulty."""
-        found: dict[str, list[int]] = {}
-        for first, entry in zip(self._start.tolist(), self.shards, strict=False):
-            ours = found.setdefault(self.dataset.manifest.home(entry).graded, [])
-            ours += range(first, first + entry.samples)
-        return found
+        numbers: dict[str, list[int]] = {}
+        for first, piece in zip(self._start.tolist(), self.pieces, strict=False):
+            of_kind = numbers.setdefault(piece.dataset.kind, [])
+            of_kind += range(first, first + len(piece))
+        return numbers
 
-    def home(self, index: int) -> trust.Manifest:
-        """What sample `index` was made for: this dataset, or one that it was taken from."""
-        return self.dataset.manifest.home(self.shards[self._place(index)[0]])
+    def home(self, index: int) -> Manifest:
+        """The manifest of the dataset that sample `index` is of."""
+        return self.pieces[self._place(index)[0]].dataset.manifest
 
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:

@@ -7,7 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,10 @@ from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
-from scenegen.dataset.rules import rules_of, stem_of
-from scenegen.dataset.trust import Entry
+from scenegen.dataset.manifest import ShardEntry, stem_of
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import Json, sha256_in, sha256_of, write_whole
+from scenegen.files import sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
@@ -45,47 +44,6 @@ def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
     with raised_as(DatasetError):
         return ENGINES.find(name).of
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShardTask:
-    """A shard that is to be in a folder, whatever its samples come from; small, and can be pickled,
-    so that any process anywhere can write it."""
-
-    folder: Path
-    split: str
-    index: int
-    """The shard's place within its split."""
-    samples: int
-    parameters: str
-    """Digest of the parameters of the dataset that it is made for; written into the shard, so that
-    it is never taken for another dataset's."""
-    layout: Layout
-    """What the shard is to hold."""
-    numbers: Sequence[int]
-    """Numbers of the worlds that its samples are of; a world may stand there several times."""
-    more: Mapping[str, int] = field(default_factory=dict)
-    """What its entry in the manifest says besides."""
-    tells = True
-    """Whether `parameters` say which samples it holds, without a manifest beside it."""
-
-    @property
-    def file(self) -> str:
-        """Where in the folder the samples go."""
-        return f"{stem_of(self.split, self.index)}.h5"
-
-    @property
-    def worlds(self) -> str:
-        """Where in the folder the worlds go."""
-        return f"{stem_of(self.split, self.index)}.worlds.zip"
-
-    def prepare(self, workers: int) -> None:
-        """Have done, by up to so many processes, what every writing process would else do by
-        itself."""
-
-    def write(self) -> "ShardReport":
-        """Write the shard."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,11 +78,33 @@ class Units:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShardSpec(ShardTask, Units):
-    """A shard whose units are drawn: all that its samples depend on."""
+class ShardSpec(Units):
+    """A shard that is to be in a folder, and all that its samples depend on; small, and can be
+    pickled, so that any process anywhere can write it."""
 
+    folder: Path
+    index: int
+    """The shard's place within its split."""
+    samples: int
     first_unit: int
     """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
+    numbers: Sequence[int]
+    """Numbers of the worlds of its units; a world may stand there several times."""
+    parameters: str
+    """Fingerprint of the dataset; written into the shard, so that it is never taken for another
+    dataset's."""
+    layout: Layout
+    """What the shard is to hold."""
+
+    @property
+    def file(self) -> str:
+        """Where in the folder the samples go."""
+        return f"{stem_of(self.split, self.index)}.h5"
+
+    @property
+    def worlds(self) -> str:
+        """Where in the folder the worlds go."""
+        return f"{stem_of(self.split, self.index)}.worlds.zip"
 
     @property
     def derived(self) -> bool:
@@ -132,7 +112,8 @@ class ShardSpec(ShardTask, Units):
         return "tudf" in self.layout
 
     def prepare(self, workers: int) -> None:
-        """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
+        """Compile the kernels, with up to so many processes, which every writing process would else
+        do by itself; hopeless parameters end here."""
         with ExitStack() as stack:
             if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
                 other = Worker(partial(compile_truth, self.source, self.recipe))
@@ -141,8 +122,8 @@ class ShardSpec(ShardTask, Units):
             self.draw(self.first_unit)
 
     def write(self) -> "ShardReport":
-        """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
-        GenerationError, DatasetError."""
+        """Draw its units into memory, a few megabytes, and write them. Raises GenerationError,
+        DatasetError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
 
         def drawn() -> Iterator[Drawn]:
@@ -160,24 +141,20 @@ class ShardSpec(ShardTask, Units):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ShardReport(Entry):
-    """A shard on disk: what the manifest is to list, and what else it needs to know."""
+class ShardReport:
+    """A shard on disk."""
 
+    entry: ShardEntry
+    """What the manifest lists."""
     size: int
     """Bytes on disk."""
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
-    more: Mapping[str, int]
-    """See `ShardTask.more`."""
-
-    def entry(self) -> Json:
-        """The shard's entry in the manifest."""
-        return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
 
 
 def put(
-    spec: ShardTask,
+    spec: ShardSpec,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
@@ -235,10 +212,10 @@ def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d
 
 
 def report_of(
-    spec: ShardTask, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
+    spec: ShardSpec, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
 ) -> ShardReport:
     """The report of a shard whose two files have these SHA-256 `sums`, and `size` bytes in all."""
-    return ShardReport(
+    entry = ShardEntry(
         file=spec.file,
         worlds=spec.worlds,
         split=spec.split,
@@ -246,11 +223,8 @@ def report_of(
         first_world=min(spec.numbers),
         sha256=sums[0],
         worlds_sha256=sums[1],
-        size=size,
-        rejected=rejected,
-        digests=digests,
-        more=spec.more,
     )
+    return ShardReport(entry=entry, size=size, rejected=rejected, digests=digests)
 
 
 def compress(values: np.ndarray) -> bytes:
@@ -266,7 +240,7 @@ def compress(values: np.ndarray) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+def read_report(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
     """The report of a shard that is on disk already, or None where there is none as `task` has it:
     what the shard is to be, and what the manifest lists of it.
 
@@ -300,7 +274,7 @@ def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         return None
 
 
-def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
+def relabel(spec: ShardSpec, old: str, listed: ShardEntry) -> None:
     """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry
     `listed` has it, carry those of `spec` in their place; it is left alone where it is not just
     that shard."""

@@ -2,22 +2,23 @@
 manifest says of it."""
 
 import contextlib
-import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarsim import Sensor
+import msgspec
+
 from scenegen import SPLITS
-from scenegen.dataset import manifest, placed, trust
-from scenegen.dataset.parts import rays_named, tables_of, write_rays
+from scenegen.dataset import manifest, placed
+from scenegen.dataset.manifest import Manifest, ShardEntry, differences, total_digest
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
-from scenegen.dataset.rules import FILE_RULE
-from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
-from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts
+from scenegen.dataset.sensor_file import RAYS, rays_digest, write_rays
+from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
+from scenegen.errors import DatasetError
+from scenegen.files import disk_told, names_in, open_bounded, remove_drafts
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
@@ -27,13 +28,11 @@ FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A dataset to be: all its parameters, and its shards."""
+    """A dataset to be: its manifest without shards, and the shards that it is to have."""
 
     folder: Path
-    parameters: Json
-    shards: tuple[ShardTask, ...]
-    lidars: tuple[Sensor, ...]
-    """The sensors of its samples."""
+    manifest: Manifest
+    shards: tuple[ShardSpec, ...]
 
     @property
     def samples(self) -> int:
@@ -43,14 +42,13 @@ class Plan:
     @property
     def bytes_expected(self) -> int:
         """A rough size on disk."""
-        each = FULL_BYTES if "tudf" in self.parameters["fields"] else COMPACT_BYTES
-        voxels = self.samples * math.prod(self.parameters["grid"]["shape"])
+        each = FULL_BYTES if "tudf" in self.manifest.fields else COMPACT_BYTES
+        schema = self.manifest.schema
         rays = sum(
-            shard.samples * math.prod(shard.layout[name][1])
-            for shard in self.shards
-            for name in {"ranges", "earlier_ranges"} & shard.layout.keys()
+            math.prod(schema.shape(name)) for name in {"ranges", "earlier_ranges"} & {*schema.names}
         )
-        return int(each * voxels + RAY_BYTES * rays)
+        voxels = math.prod(schema.grid.shape)
+        return int(self.samples * (each * voxels + RAY_BYTES * rays))
 
 
 class State:
@@ -60,9 +58,9 @@ class State:
     before this run's first shard, and before its signature. `force` allows another dataset in the
     folder, which `open` then replaces.
 
-    Raises DatasetError unless the folder is free, or holds this dataset, or the beginning of it,
-    or, with `force`, another one. A manifest without a shard, left by a run that drew none, stands
-    in nobody's way.
+    Raises DatasetError unless the folder is free, or holds this dataset, or one that is the same
+    but for fewer samples, or, with `force`, another one. A manifest without a shard, left by a run
+    that drew none, stands in nobody's way.
     """
 
     def __init__(self, plan: Plan, *, force: bool = False):
@@ -70,11 +68,9 @@ class State:
         self.reports: dict[str, ShardReport] = {}
         """What is known of every shard that is there, by its file."""
         self._force = force
-        self._smaller: trust.Manifest | None = None
-        """The dataset that this one begins with, as far as the folder holds it."""
-        self._there: Mapping[str, Version] | None = None
-        """What lies there, if that was just listed."""
-        self._written: Json = {}
+        self._names: Mapping[str, Version] | None = None
+        """What lies in the folder, if that was just listed."""
+        self._content = b""
         """The manifest as it was read."""
         self._listed = self._read()
 
@@ -87,55 +83,64 @@ class State:
     def done(self) -> bool:
         """Whether every shard is known, and the manifest that was read says just that."""
         whole = len(self.reports) == len(self.plan.shards)
-        return whole and _text(self._written) == _text(self._final())
+        return whole and self._content == manifest.encode(self.current())
 
-    def _final(self) -> Json:
-        """The manifest of what is known."""
-        return manifest.assemble(
-            self.plan.parameters,
-            self.reports_of(self.plan.shards),
-            complete=len(self.reports) == len(self.plan.shards),
+    def current(self) -> Manifest:
+        """The manifest of the shards that are known."""
+        reports = self.reports_of(self.plan.shards)
+        complete = len(reports) == len(self.plan.shards)
+        rejected = {}
+        for what in ("worlds", "viewpoints"):
+            counts = sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
+            rejected[what] = dict(sorted(counts.items()))
+        return msgspec.structs.replace(
+            self.plan.manifest,
+            complete=complete,
+            shards=tuple(report.entry for report in reports),
+            rejected=rejected,
+            digest=total_digest([report.digests for report in reports]) if complete else None,
         )
 
-    def _read(self) -> Mapping[str, trust.Entry] | None:
+    def _read(self) -> Mapping[str, ShardEntry] | None:
         """The shards that the manifest of this dataset lists, by file; None where there is none."""
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                self._there = names_in(folder)
+                self._names = names_in(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
-        names = sorted(name for name in self._there if not name.endswith(".tmp"))
+        names = sorted(name for name in self._names if not name.endswith(".tmp"))
         if not names:
             return None
         if manifest.NAME not in names:
-            found_here = (shard for shard in self.plan.shards if shard.file in names)
-            if any(shard.tells and read_report((shard, None)) for shard in found_here):
+            planned_here = (shard for shard in self.plan.shards if shard.file in names)
+            if any(read_report((shard, None)) for shard in planned_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds files ({names[0]}, …), but no {manifest.NAME} and no sound "
                 "shard of this dataset; choose another folder with --out"
             )
-        self._written = manifest.read(folder)
-        differing = manifest.differences(
-            manifest.completed(self._written), manifest.completed(self.plan.parameters)
+        self._content = manifest.read_content(folder)
+        try:
+            former = manifest.parse(self._content, folder)
+        except DatasetError as error:
+            if self._force:
+                return None
+            raise DatasetError(
+                f"{folder}/{manifest.NAME}: {error}; choose another folder with --out, or replace "
+                f"the dataset with --force"
+            ) from None
+        differing = differences(former.parameters, self.plan.manifest.parameters)
+        grows = all(line.startswith("counts.") for line in differing) and all(
+            former.counts[split] <= self.plan.manifest.counts[split] for split in SPLITS
         )
-        former: trust.Manifest | None = None
-        with contextlib.suppress(BrokenError):
-            former = trust.parse(self._written, folder)
-        if not differing:
-            # if what it says of its shards is damaged, they are held against their own digests
-            return {} if former is None else {entry.file: entry for entry in former.shards}
-        if former is not None and all(line.startswith("counts.") for line in differing):
-            counts = self.plan.parameters["counts"]
-            if all(former.counts[split] <= counts[split] for split in SPLITS):
-                self._smaller = former
-                return {}
-        if not self._force and any(map(FILE_RULE.fits, names)):
+        if grows:
+            return {entry.file: entry for entry in former.shards}
+        if not self._force and any(map(manifest.SHARD_FILE.fullmatch, names)):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
@@ -143,26 +148,7 @@ class State:
             )
         return None
 
-    def adopt(self) -> None:
-        """Make the shards of a smaller dataset this one's: they hold the same samples, and say of
-        how many they are.
-
-        A run that is killed on the way goes on, whichever of the two its manifest describes.
-        """
-        if self._smaller is None:
-            return
-        old = self._smaller.fingerprint
-        listed = {entry.file: entry for entry in self._smaller.shards}
-        for shard in self.plan.shards:
-            entry = listed.get(shard.file)
-            if entry is not None and entry.samples == shard.samples:
-                relabel(shard, old, entry)
-        self._there = None
-        self.look(self.plan.shards)
-        self.note()
-        self._smaller = None
-
-    def look(self, shards: Sequence[ShardTask], *, workers: int = 1) -> None:
+    def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
         """Take in those of `shards` that are on disk, are not known yet, and are as the manifest
         says.
 
@@ -171,18 +157,18 @@ class State:
         """
         if self._listed is None:
             return
-        there = names_in(self.plan.folder) if self._there is None else self._there
-        self._there = None
+        names = names_in(self.plan.folder) if self._names is None else self._names
+        self._names = None
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
-        noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
+        noted = {} if stored else read_notes(folder, self.plan.manifest.fingerprint)
         listed = {**noted, **self._listed}
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
-            if shard.file not in self.reports and shard.file in there
+            if shard.file not in self.reports and shard.file in names
         ]
-        found = placed.look(there, tasks) if stored else run(read_report, tasks, workers)
-        self.reports |= {report.file: report for report in found if report is not None}
+        reports = placed.look(names, tasks) if stored else run(read_report, tasks, workers)
+        self.reports |= {report.entry.file: report for report in reports if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
@@ -192,21 +178,21 @@ class State:
         """
         if not self.done:
             self._begin()
-        write_rays(self.plan.lidars, self.plan.folder)
+        write_rays(self.plan.manifest.recipe.lidar, self.plan.folder)
 
     def _begin(self) -> None:
         folder = self.plan.folder
         with disk_told(folder):
             folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
-            there = names_in(folder).keys()
-            self._listed, self._there = self._read(), None
+            names = names_in(folder).keys()
+            self._listed, self._names = self._read(), None
             remove_drafts(folder)
         if not self.begun:
-            former = _former(folder, there)
+            former = _former_files(folder, names)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
-            planned |= tables_of(self.plan.lidars).keys()
-            for name in sorted(planned & there - set(former)):
+            planned |= rays_digest(self.plan.manifest.tables.lidar).keys()
+            for name in sorted(planned & names - set(former)):
                 raise DatasetError(
                     f"{folder / name}: is of no dataset there; move it away, or choose another "
                     f"--out"
@@ -214,28 +200,27 @@ class State:
             for name in former:  # before the manifest that says whose they are
                 (folder / name).unlink(missing_ok=True)
             remove_notes(folder)
-        if not self.begun or manifest.NAME not in there:
+        if not self.begun or manifest.NAME not in names:
             self.note()
             self._listed = self._listed or {}
         with disk_told(folder):
             for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
                 (folder / part).mkdir(exist_ok=True)
 
-    def note(self, mine: Sequence[ShardTask] | None = None) -> None:
+    def note(self, mine: Sequence[ShardSpec] | None = None) -> None:
         """Write down the shards that are known, for a run that is stopped: the next one hashes
         their files, and not their samples. The manifest lists them; those of a job that sees to
         `mine` alone stand in a file of its own."""
         if mine is not None and len(mine) < len(self.plan.shards):
             if isinstance(self.plan.folder, StorePath):
                 return  # a report lies beside each shard
-            parameters = manifest.fingerprint(self.plan.parameters)
-            write_note(
-                self.plan.folder, parameters, [shard.file for shard in mine], self.reports_of(mine)
-            )
+            files = [shard.file for shard in mine]
+            fingerprint = self.plan.manifest.fingerprint
+            write_note(self.plan.folder, fingerprint, files, self.reports_of(mine))
             return
-        manifest.write(self.plan.folder, self._final())
+        manifest.write(self.plan.folder, self.current())
 
-    def sign(self, *, workers: int = 1) -> Json:
+    def sign(self, *, workers: int = 1) -> Manifest:
         """Write the manifest, complete if no shard is missing; the manifest.
 
         Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
@@ -244,72 +229,69 @@ class State:
         """
         if self.done:
             remove_notes(self.plan.folder)
-            return dict(self._written)
+            return self.current()
         while True:
-            if len(self.reports) < len(self.plan.shards) and self._is_signed(
-                there := manifest.read(self.plan.folder)
-            ):
-                return there
+            content = manifest.read_content(self.plan.folder)
+            if len(self.reports) < len(self.plan.shards) and (signed := self._signed(content)):
+                return signed
             if whole := not self.absent():
                 self.look(self.plan.shards, workers=workers)
-            final = self._final()
-            if _text(manifest.read(self.plan.folder)) != _text(final):
+            final = self.current()
+            if manifest.read_content(self.plan.folder) != manifest.encode(final):
                 manifest.write(self.plan.folder, final)
-            if final["complete"]:
+            if final.complete:
                 remove_notes(self.plan.folder)
             if whole or self.absent():
                 return final
 
-    def _is_signed(self, there: Json) -> bool:
-        """Whether the manifest `there` is complete, and lists what is known just so."""
-        if (
-            there.get("complete") is not True
-            or manifest.parameters_of(there) != self.plan.parameters
-        ):
-            return False
-        listed = {entry.get("file"): entry for entry in there["shards"] if isinstance(entry, dict)}
-        return all(listed.get(report.file) == report.entry() for report in self.reports.values())
+    def _signed(self, content: bytes) -> Manifest | None:
+        """The manifest in `content`, if it is this dataset's, complete, and lists what is known
+        just so."""
+        with contextlib.suppress(DatasetError):
+            there = manifest.parse(content, self.plan.folder)
+            listed = {entry.file: entry for entry in there.shards}
+            known = (report.entry for report in self.reports.values())
+            if (
+                there.complete
+                and there.parameters == self.plan.manifest.parameters
+                and all(listed.get(entry.file) == entry for entry in known)
+            ):
+                return there
+        return None
 
-    def absent(self) -> list[ShardTask]:
+    def absent(self) -> list[ShardSpec]:
         """Shards that are neither known nor on disk."""
-        there = self.reports.keys() | names_in(self.plan.folder).keys()
-        return [shard for shard in self.plan.shards if shard.file not in there]
+        names = self.reports.keys() | names_in(self.plan.folder).keys()
+        return [shard for shard in self.plan.shards if shard.file not in names]
 
-    def reports_of(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
+    def reports_of(self, shards: Sequence[ShardSpec]) -> list[ShardReport]:
         """The reports of those of `shards` that are known, in their order."""
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _text(there: Json) -> str:
-    """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
-    return json.dumps(there, sort_keys=True)
-
-
-def _former(folder: Path, names: Set[str]) -> list[str]:
-    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
-    tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
-    or that of one of its sources. In an order that can be gone on with: worlds come before their
-    samples, which hold their digest."""
+def _former_files(folder: Path, names: Set[str]) -> list[str]:
+    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its table
+    of rays, the shards that it lists, and those not listed yet, which carry its fingerprint; every
+    shard where the manifest cannot be read. In an order that can be gone on with: worlds come
+    before their samples, which hold their digest."""
     if manifest.NAME not in names:
         return []
-    there, found = manifest.read(folder), set[str]()
-    owners = [manifest.fingerprint(manifest.parameters_of(there))]
-    with contextlib.suppress(BrokenError, LookupError, TypeError):
-        # first: it needs no more of a damaged manifest than its sensors
-        found |= names & set(rays_named(there).values())
-        former = trust.parse(there, folder)
-        found |= names & former.files.keys()
-        owners += [source.fingerprint for source in former.sources]
-    for name in filter(FILE_RULE.fits, sorted(names - found)):
+    shards = {name for name in names if manifest.SHARD_FILE.fullmatch(name)}
+    try:
+        former = manifest.parse(manifest.read_content(folder), folder)
+    except DatasetError:
+        return sorted({*shards, *({RAYS} & names)}, reverse=True)
+    owned = names & former.files.keys()
+    for name in sorted(shards - owned):
         with open_bounded(folder / name, sys.maxsize) as file:
             content = file.read()
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
-            known = any(owner.encode() in content for owner in owners)
+            is_owned = former.fingerprint.encode() in content
         elif samples in names:
-            known = samples in found
+            is_owned = samples in owned
         else:  # whose writer was killed before it put the samples beside them
-            known = content.startswith(ARCHIVE)
-        if known:
-            found.add(name)
-    return sorted(found, reverse=True)
+            is_owned = content.startswith(ARCHIVE)
+        if is_owned:
+            owned.add(name)
+    return sorted(owned, reverse=True)

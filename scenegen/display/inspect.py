@@ -14,7 +14,9 @@ from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.clouds import read_cloud
-from scenegen.dataset.choose import (
+from scenegen.dataset.manifest import NAME, ShardEntry, load
+from scenegen.dataset.read import AnyDataset, Dataset, Split
+from scenegen.dataset.selection import (
     MEASURES,
     OF_WORLD,
     encode_measures,
@@ -22,9 +24,6 @@ from scenegen.dataset.choose import (
     measure_of,
     measures_file,
 )
-from scenegen.dataset.manifest import NAME
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.trust import Entry, Manifest, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
@@ -40,7 +39,7 @@ MOST_BEYOND = 0.4
 
 
 def inspect(
-    folder: Path,
+    dataset: AnyDataset,
     *,
     most: int | None = MOST_MEASURED,
     keep: bool = False,
@@ -51,7 +50,7 @@ def inspect(
     """Sums a dataset up.
 
     Args:
-        folder: The dataset.
+        dataset: The dataset, the collection or the selection.
         most: Samples of a split that are measured, evenly spread; None for all. All count where
             their measures are kept beside them.
         keep: Measure all, and keep their measures there, see `measures_file`, and the `splits` that
@@ -69,20 +68,11 @@ def inspect(
     Raises:
         DatasetError: The folder holds no dataset, or a damaged one.
     """
-    dataset = Dataset(folder, partial=not keep)
-    manifest = dataset.manifest
-    summary = {
-        "kind": manifest.graded,
-        "seed": manifest.seed,
-        "complete": manifest.complete,
-        "digest": manifest.digest,
-        "rejected": manifest.rejected,
-        "fields": list(manifest.fields),
-        "grid": manifest.parameters["grid"],
-        "mapping": manifest.parameters.get("mapping"),
-    }
-    if manifest.sources:
-        summary["sources"] = _sources(manifest)
+    datasets = [_facts(one) for one in dataset.datasets]
+    first, *others = datasets
+    summary = first if not others else {"datasets": datasets, "digest": dataset.digest}
+    if keep and (incomplete := [one.name for one in dataset.datasets if not one.manifest.complete]):
+        raise DatasetError(f"{incomplete[0]}: incomplete; give the command that made it again")
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
@@ -95,12 +85,14 @@ def inspect(
             tables[name][row] = measures
             on_done(1)
     if keep and tasks:
-        write_whole(measures_file(dataset), encode_measures(np.concatenate(list(tables.values()))))
+        (alone,) = dataset.datasets
+        write_whole(measures_file(alone), encode_measures(np.concatenate(list(tables.values()))))
     about_splits = {split.name: _about(split, tables[split.name]) for split in splits}
     if keep:
         content = json.dumps(about_splits, indent=1).encode()
-        write_whole(measures_file(dataset).with_suffix(".json"), content)
-    size, samples = bytes_in(folder), sum(map(len, splits))
+        write_whole(measures_file(dataset.datasets[0]).with_suffix(".json"), content)
+    size = sum(bytes_in(one.folder) for one in dataset.datasets)
+    samples = sum(map(len, splits))
     return {
         **summary,
         "samples": samples,
@@ -110,21 +102,23 @@ def inspect(
     }
 
 
-def _sources(manifest: Manifest) -> list[Json]:
-    """The datasets that samples were taken from, and how many of each."""
-    differ = manifest.parameters.get("differ", ())
-    entries = manifest.parameters["sources"]
-    return [
-        {
-            "kind": source.graded,
-            "seed": source.seed,
-            "digest": source.digest,
-            **{name: str(part) for name, part in sensing._asdict().items() if name in differ},
-            "taken": entry["taken"],
-            "samples": _counts(one for one in manifest.shards if manifest.home(one) is source),
-        }
-        for source, sensing, entry in zip(manifest.sources, manifest.settings, entries, strict=True)
-    ]
+def _facts(dataset: Dataset) -> Json:
+    """What the manifest of a dataset says of it."""
+    manifest = dataset.manifest
+    return {
+        "name": dataset.name,
+        "kind": manifest.graded,
+        "seed": manifest.seed,
+        "complete": manifest.complete,
+        "digest": manifest.digest,
+        "rejected": manifest.rejected,
+        "fields": list(manifest.fields),
+        "grid": manifest.tables.grid,
+        "mapping": manifest.tables.mapping,
+        "lidar": str(manifest.lidar),
+        "noise": manifest.noise_stages,
+        "samples_of": _counts(manifest.shards),
+    }
 
 
 def _about(split: Split, table: Floats) -> Json:
@@ -139,12 +133,12 @@ def _about(split: Split, table: Floats) -> Json:
         first_of_world = np.unique(split.numbers[0], return_index=True)[1]
         means = [measure_of(split, table, OF_WORLD + name)[first_of_world] for name in MEASURES]
         about["world_means"] = _statistics(np.transpose(means))
-    if len({home.graded for home in split.dataset.manifest.homes}) > 1:
+    if len({one.kind for one in split.dataset.datasets}) > 1:
         about["kinds"] = _by_kind(split, table)
     return about
 
 
-def _measure(dataset: Dataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
+def _measure(dataset: AnyDataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
     """The split of a task, its row among those that are measured, and the measures of its sample;
     NaN where that lacks one."""
     split, row, index = task
@@ -175,7 +169,7 @@ def _by_kind(split: Split, table: Floats) -> Json:
     }
 
 
-def _counts(shards: Iterable[Entry]) -> dict[str, int]:
+def _counts(shards: Iterable[ShardEntry]) -> dict[str, int]:
     """Samples of each split."""
     counts = dict.fromkeys(SPLITS, 0)
     for shard in shards:

@@ -20,7 +20,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from scenegen import SPLITS
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import AnyDataset, Split
 from scenegen.display.look import Guesses, incomplete, look_into, title_of
 from scenegen.display.page import check_grid, live_page, packed, packed_world
 from scenegen.errors import ScenegenError, printable
@@ -54,7 +54,7 @@ class Live(ThreadingHTTPServer):
 
     def __init__(
         self,
-        datasets: Sequence[Dataset],
+        datasets: Sequence[AnyDataset],
         *,
         split: str,
         index: int = 0,

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import AnyDataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
 from scenegen.scored import certain_distances, scored_voxels
@@ -153,9 +154,9 @@ def look_at(
     grid: GridSpec,
     lidar: Sensor | None,
     name: str,
-    tables: Mapping[str, Any] | None = None,
+    world: Mapping[str, Any] | None = None,
 ) -> Look:
-    """Reads a sample as far as that can be. `tables` are those of its recipe, which tell where the
+    """Reads a sample as far as that can be. `world` is its recipe's table, which tells where the
     ground is. Raises DatasetError where not even its pose can."""
     pose = {field: getattr(sample, field) for field in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
@@ -180,7 +181,7 @@ def look_at(
         scans=[scan.points() for scan in scans],
         rays=sum(scan.ranges.size for scan in scans),
         known=read("known", lambda: sample.known),
-        scored=read("what scores count", lambda: scored_voxels(sample, grid, tables or {})),
+        scored=read("what scores count", lambda: scored_voxels(sample, grid, world)),
         missing=tuple(missing),
     )
 
@@ -200,9 +201,9 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
         home = samples.home(index)
-        if home.graded != dataset.manifest.graded:  # the title does not tell it
+        if home.graded != dataset.kind:  # the title does not tell it
             name += f", {home.graded}"
-        look = look_at(samples[index], dataset.grid, home.lidar, name, home.tables)
+        look = look_at(samples[index], dataset.grid, home.lidar, name, home.tables.world)
     except DatasetError as error:
         raise DatasetError(f"{name} is not shown: {printable(error)}") from None
     if guesses is None:
@@ -215,7 +216,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
 
 
 def looks(
-    dataset: Dataset, split: str, indices: Iterable[int], guesses: Guesses | None = None
+    dataset: AnyDataset, split: str, indices: Iterable[int], guesses: Guesses | None = None
 ) -> tuple[list[Look], list[str]]:
     """Reads samples of a split, with what `guesses` predicts of them.
 
@@ -235,25 +236,25 @@ def looks(
             notes.append(str(error))
     notes += [line for look in found for line in look.missing]
     if not found:
-        raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
+        raise DatasetError(notes[-1] if notes else f"{dataset.name}: its {split} split is empty")
     return found, notes
 
 
-def title_of(dataset: Dataset) -> str:
+def title_of(dataset: AnyDataset) -> str:
     """What a dataset is called in titles: its folder, and its kind where that says more."""
-    folder, kind = dataset.folder.name, dataset.manifest.graded
+    folder, kind = Path(dataset.name).name, dataset.kind
     return printable(folder if folder == kind else f"{folder}: {kind}")
 
 
-def incomplete(dataset: Dataset, split: str) -> list[str]:
+def incomplete(dataset: AnyDataset, split: str) -> list[str]:
     """A line for a dataset that is incomplete; none for another."""
-    if dataset.manifest.complete:
+    if all(one.manifest.complete for one in dataset.datasets):
         return []
     count = len(dataset.split(split))
     return [f"the dataset is incomplete: {count} samples of its {split} split are there"]
 
 
-def spread(dataset: Dataset, split: str, most: int) -> list[int]:
+def spread(dataset: AnyDataset, split: str, most: int) -> list[int]:
     """Indices of at most `most` samples of a split, evenly spread."""
     return evenly(len(dataset.split(split)), most)
 

@@ -1,4 +1,4 @@
-"""A dataset for others: `regenerate` says what makes it again, `card` describes it, `stage` puts
+"""A dataset for others: `card` describes it, `stage` puts
 the folder together, `upload` sends it.
 
 Here are the licences for data by their SPDX names. A command's help reads them: nothing heavy is

@@ -5,6 +5,7 @@ datasets."""
 
 import json
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from string import Template
@@ -12,13 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import MUJOCO
 from scenegen.dataset.layout import DIGEST
-from scenegen.dataset.manifest import NAME, VERSION
-from scenegen.dataset.rules import pattern_of
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.manifest import NAME, VERSION, Manifest, pattern_of
 from scenegen.display.inspect import TITLES
 from scenegen.files import Json
 from scenegen.share import LICENCES
-from scenegen.share.regenerate import ORIGINAL, RECIPE, command, source_file
 
 if TYPE_CHECKING:
     from scenegen.share.stage import Request
@@ -74,13 +72,8 @@ def facts(
     owner, _, name = request.repository.partition("/")
     licence, licence_url = LICENCES[request.licence]
     splits = summary["splits"]
-    lidars = dict.fromkeys(sensing.lidar for sensing in made.settings)
-    mappings = dict.fromkeys(sensing.mapping for sensing in made.settings)
-    maps = ""
-    if not all(mapping.plain for mapping in mappings):
-        maps = f", each {' or '.join(map(str, mappings))}"
-    kinds = dict.fromkeys(home.kind for home in made.homes)
-    worlds = "; ".join(KINDS.get(kind, f"worlds of kind {kind}") for kind in kinds)
+    maps = "" if made.mapping.plain else f", each {made.mapping}"
+    worlds = KINDS.get(made.kind, f"worlds of kind {made.kind}")
     voxels = f"{' × '.join(map(str, made.grid.shape))} voxel maps of {made.grid.voxel_m:g} m"
     return {
         **_notes(made),
@@ -98,15 +91,15 @@ def facts(
         "paper": PAPER,
         "sentence": f"{summary['samples']} pairs of a simulated LiDAR scan and the exact truth "
         f"around it, in {worlds}, as {voxels}{maps}",
-        "version": f"{VERSION}.{made.tables.get('version', 0)}.0",
-        "seed": made.homes[0].seed,
-        "lidar": " or ".join(map(str, lidars)),
+        "version": f"{VERSION}.{made.tables.version}.0",
+        "seed": made.seed,
+        "lidar": str(made.lidar),
         "digest": made.digest,
         "centred": "" if maps else " and the sensor sits at the map's centre",
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": made.grid.voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
-        "command": command(made, name),
+        "command": command(made, request.repository, tag),
         "samples": summary["samples"],
         "split": next(iter(splits)),
         "data_files": "\n".join(
@@ -121,6 +114,16 @@ def facts(
     }
 
 
+def command(made: Manifest, repository: str, tag: str) -> str:
+    """What to type to make the dataset of a manifest again: by the manifest alone, where its worlds
+    were drawn by a recipe."""
+    drawn = made.kind != "scene" and made.like is None
+    like = NAME if drawn else f"hf://{repository}@{tag}"
+    words = ["scenegen", "generate", "--like", like, "--out", repository.rpartition("/")[2]]
+    words += ["--kind", made.kind] if ":" in made.kind else []
+    return shlex.join(words)
+
+
 def _shards(made: Manifest, split: str) -> list[str]:
     """Patterns of the names of a split's shards."""
     return [*dict.fromkeys(pattern_of(one.file) for one in made.shards if one.split == split)]
@@ -128,7 +131,6 @@ def _shards(made: Manifest, split: str) -> list[str]:
 
 def _notes(made: Manifest) -> dict[str, str]:
     """Sentences that differ between datasets of several sorts."""
-    file, _ = source_file(made)
     rejected = [
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
         for what, reasons in made.rejected.items()
@@ -143,11 +145,10 @@ def _notes(made: Manifest) -> dict[str, str]:
         "drawn": "Random worlds are drawn from",
         "people": "Worlds are synthetic and simple: they are of no real place, and hold neither "
         "people nor personal data.",
-        "biases": f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no "
+        "biases": f"Worlds follow the distributions of {NAME} and no "
         "real place; the frequencies of shapes, gaps and densities are those of the recipe.",
-        "follows": f"every sample follows from the seed and `{file}`",
+        "follows": f"every sample follows from the seed and the recipe in `{NAME}`",
         "rejected": f"Rejected while drawing: {'; '.join(rejected) or 'none'}.",
-        "stands": "",
     }
     if made.grid.hollow:
         notes["surfaces"] = (
@@ -156,26 +157,21 @@ def _notes(made: Manifest) -> dict[str, str]:
         notes["surface"] = "the surface of "
     if absent := " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields):
         notes["derived"] = f" {absent} follow from these; scenegen derives them on reading."
-    noises = dict.fromkeys(home.noise_stages for home in made.homes)
-    if any(noises):
-        stages = " or ".join(f"`{noise}`" if noise else "none" for noise in noises)
-        notes["faults"] = f"with simulated noise, {stages}"
+    if made.noise is not None:
+        notes["faults"] = f"with simulated noise, `{made.noise.stages}`"
     if made.kind == "scene":
         notes |= {
             "drawn": "Worlds were given as files; from",
             "people": "Worlds were given as files; whether these show real places or people, only "
             "their publisher can say.",
             "biases": "Worlds are few, and those that their author thought of.",
-            "stands": "\n`SCENES` stands for the worlds' files, whose names and digests "
-            f"`{NAME}` lists under `recipe`.\n",
         }
-    if made.rescan is not None:
-        original = made.rescan["digest"]
+    if made.like is not None:
         notes |= {
             "follows": "the worlds and poses of another dataset were scanned again by the sensor "
-            f"in `{file}`",
-            "rejected": f"The worlds and poses are those of the dataset {original}, scanned again.",
-            "stands": f"\n`{ORIGINAL}` stands for that dataset, whose digest is `{original}`.\n",
+            f"that `{NAME}` names",
+            "rejected": f"The worlds and poses are those of the dataset {made.like}, scanned "
+            "again.",
         }
     return notes
 
@@ -187,8 +183,6 @@ def _template(name: str) -> str:
 def card(given: Json) -> str:
     """The card of a dataset of which `facts` are given."""
     text = _template("card.md")
-    if "by source" in given["fields"]:  # `datasets` refuses a field of several shapes
-        text = re.sub("With Hugging Face.*?(?=With scenegen)", "", text, flags=re.DOTALL)
     # four ends of lines where there are no pictures
     return Template(text).substitute(given).replace("\n\n\n\n", "\n\n")
 
@@ -200,13 +194,9 @@ def _table(*rows: Sequence[str]) -> str:
 
 
 def stored(made: Manifest) -> dict[str, Json]:
-    """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`; the shape is
-    (-1,) where sensors or scans of several shapes are in one dataset."""
-    known: dict[str, Json] = {}
-    for home in made.homes:
-        for name, about in home.schema.describe().items():
-            if name in home.fields and known.setdefault(name, about)["shape"] != about["shape"]:
-                known[name] = about | {"shape": (-1,)}
+    """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
+    described = made.schema.describe()
+    known = {name: described[name] for name in made.fields}
     digest = {"meaning": "the sample's own SHA-256 digest", "unit": ""}
     return known | {DIGEST: {"dtype": "uint8", "shape": (32,), **digest}}
 
@@ -214,12 +204,12 @@ def stored(made: Manifest) -> dict[str, Json]:
 def _fields(made: Manifest) -> str:
     rows = [["field", "type, shape of a sample", "unit", "meaning"]]
     for name, field in stored(made).items():
-        shape = " × ".join(str(n) if n >= 0 else "by source" for n in field["shape"])
+        shape = " × ".join(map(str, field["shape"]))
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append([f"`{name}`", kind, field["unit"] or "–", field["meaning"]])
     table = _table(*rows)
-    if made.labels is not None:
-        classes = made.labels["classes"]
+    if "labels" in made.parts:
+        classes = made.parts["labels"].classes
         more = f" and {len(classes) - MOST_NAMED} more" if len(classes) > MOST_NAMED else ""
         table += f"\n\nClasses, from 0: {', '.join(map(json.dumps, classes[:MOST_NAMED]))}{more}."
     return table

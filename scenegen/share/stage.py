@@ -14,19 +14,22 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from scenegen import SPLITS
+from scenegen import SPLITS, __version__
 from scenegen.dataset import manifest
-from scenegen.dataset.choose import kept_measures, measures_file
+from scenegen.dataset.like import check_same
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.selection import kept_measures, measures_file
 from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
 from scenegen.display.page import page
-from scenegen.errors import DatasetError, PublishError
+from scenegen.errors import DatasetError, PublishError, raised_as, short
 from scenegen.files import make_parent, real_path, whole_folder, write_whole
+from scenegen.recipes import KINDS
+from scenegen.run.software import commit
 from scenegen.share import LICENCES, USUAL
 from scenegen.share.card import card, croissant, facts
-from scenegen.share.regenerate import check_kind, check_source, environment_lock, source_file
 
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""
@@ -107,22 +110,47 @@ def examine(request: Request) -> Dataset:
     """
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    sources = dataset.manifest.parameters.get("sources", ())
-    if any(one["digest"] or one["taken"] != [""] for one in sources):
-        raise PublishError(
-            f"{request.dataset}: was taken or merged of other datasets, and no one command makes "
-            "it again; publish a dataset of each"
-        )
     if (files := len(dataset.manifest.files)) > MOST_FILES:
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
             "generate it again with a larger --shard-samples, which changes no sample"
         )
-    if dataset.manifest.rescan is None:
-        for home in dataset.manifest.homes:
-            check_kind(home.kind, request.kind)
-    check_source(dataset, *source_file(dataset.manifest))
+    made = dataset.manifest
+    if made.like is None:
+        _check_kind(made.kind, request.kind)
+    if not made.noise_is_ours:
+        raise PublishError(
+            f"its noise, {short(made.noise_stages)}, has stages that are none of scenegen's own, "
+            "which are not imported; it cannot be said whether its command makes the same ranges "
+            "again"
+        )
+    with raised_as(PublishError, of=DatasetError):
+        check_same(made, str(request.dataset))
     return dataset
+
+
+def _check_kind(kind: str, named: str | None) -> None:
+    """Raise PublishError for a dataset of a kind whose worlds only a module of somebody's own can
+    draw, unless the user `named` it: no module is imported because a manifest names it."""
+    if kind != "scene" and kind not in KINDS.builtin and kind != named:
+        raise PublishError(
+            f"the dataset's kind, {short(kind)}, is none of scenegen's own, and only its module "
+            "can say whether the recipe makes the same worlds again; give --kind with its name to "
+            "have it imported"
+        )
+
+
+def _environment_lock(made: Manifest) -> str:
+    """A requirements file of what the dataset's numbers depend on, in the versions that made it.
+
+    scenegen itself stands in a comment: it is installed from its own source, and a line here would
+    ask a package index for whatever bears its name there.
+    """
+    versions = dict(made.software)
+    lines = [f"# scenegen {versions.pop('scenegen', __version__)}, published with {__version__}"]
+    lines.append(f"# {versions.pop('machine', 'unknown machine')}, commit {commit()}")
+    lines += [f"{name}=={version}" for name, version in sorted(versions.items())]
+    return "\n".join([*lines, ""])
 
 
 def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
@@ -144,7 +172,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             write_whole(draft / figures.name, figures.read_bytes())
         listed = {manifest.NAME: file_sha256(draft / manifest.NAME)}
         sums = found.files | listed
-        told = inspect(draft)
+        told = inspect(Dataset(draft))
         given = facts(
             found,
             told,
@@ -161,8 +189,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
                 given, found, told, sums if len(sums) <= MOST_LISTED else listed
             ),
             "LICENSE": LICENCE.format(spdx=request.licence, **given),
-            "requirements.lock.txt": environment_lock(found.software),
-            **dict([source_file(found)]),
+            "requirements.lock.txt": _environment_lock(found),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())
@@ -189,7 +216,7 @@ def _draw(dataset: Dataset, draft: Path) -> str:
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
     with suppress(DatasetError):  # a grid that is too large
-        text = page(shown, title=f"{dataset.manifest.graded}, {split}", notes=notes)
+        text = page(shown, title=f"{dataset.kind}, {split}", notes=notes)
         write_whole(draft / PAGE, text.encode())
         parts.append(
             f"Samples in three dimensions: download [{PAGE}]({PAGE}), and open it in a browser."
@@ -208,7 +235,7 @@ def check_out(dataset: Path, out: Path) -> None:
     files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
     foreign = {str(path.relative_to(out)) for path in files}
     with suppress(DatasetError, OSError, UnicodeDecodeError):
-        manifest.read(out)
+        manifest.read_content(out)
         foreign -= {SUMS, *read_sums(out)}
     if foreign:
         raise PublishError(

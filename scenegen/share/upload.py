@@ -13,7 +13,7 @@ from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
     r"((train|val|test)-\d+x+/)?(train|val|test)-\d{5,9}(\.h5|\.worlds\.zip)"
-    r"|pictures/(train|val|test)-\d+\.png|look\.html|(recipe|sensor)\.toml|rays(-\w{16})?\.npy"
+    r"|pictures/(train|val|test)-\d+\.png|look\.html|rays\.npy"
     r"|figures-\w{16}\.npy",
     re.ASCII,
 )

@@ -1,6 +1,7 @@
 """What a stream draws from: components, each a recipe and where its worlds come from, and which of
 them takes an index."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,14 +9,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from scenegen import SPLITS
-from scenegen.dataset import manifest
+from scenegen import GENERATOR, SPLITS
+from scenegen.dataset.build import recipe_entry
 from scenegen.dataset.generation import fraction
 from scenegen.dataset.shard import Units, find_engine
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
-from scenegen.files import Json
+from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
@@ -56,23 +58,18 @@ class Component(Units):
         return self.recipe.flight.viewpoints
 
     def described(self) -> Json:
-        """What decides the samples, as plain JSON values: a manifest's parameters without counts,
-        software and engine, and with the split."""
-        given = manifest.parameters(
-            self.recipe,
-            self.source,
-            seed=self.seed,
-            counts=dict.fromkeys(SPLITS, 0),
-            engine=self.engine,
-        )
-        left_out = {"counts", "fields", "shard_samples", "software", "engine"}
-        return {"split": self.split} | {
-            name: value for name, value in given.items() if name not in left_out
+        """What decides the samples, as plain JSON values."""
+        return {
+            "split": self.split,
+            "seed": self.seed,
+            "generator": GENERATOR,
+            "recipe": msgspec.to_builtins(recipe_entry(self.recipe)),
+            "scenes": self.source.describe(),
         }
 
     def fingerprint(self) -> str:
         """A digest of `described`."""
-        return manifest.fingerprint(self.described())
+        return sha256_of(json.dumps(self.described(), sort_keys=True).encode())
 
 
 def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:

@@ -14,7 +14,7 @@ import numpy as np
 
 from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
-from scenegen.dataset.parts import schema_of
+from scenegen.dataset.manifest import schema_of
 from scenegen.errors import DatasetError, short, whole_number
 from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS

@@ -3,7 +3,7 @@ archives, shards, samples, and the folder. What several checks need is computed 
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from io import BufferedReader
@@ -19,7 +19,7 @@ from lidarsim.registry import Registry
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.trust import Entry, Manifest
+from scenegen.dataset.manifest import Manifest, ShardEntry
 from scenegen.errors import SceneError, raised_as
 from scenegen.sample import rng_of
 from scenegen.verification.rays import MapAuditor
@@ -53,8 +53,11 @@ class Check:
     """Whether `--quick` makes it."""
     field: str = ""
     """The field of samples that it examines, where not every dataset stores that field: without it
-    the check is left out. What else a check depends on, such as `Manifest.tables` or `noise`, it
+    the check is left out. What else a check depends on, such as `Manifest.noise`, it
     asks its `Sample.contract` itself."""
+    part: bool = False
+    """Whether it examines parts of samples that users ask for, see `scenegen.parts`: without any,
+    the check is left out."""
     file: "Callable[[SignedFile, Page], None] | None" = None
     """Looks at the bytes of a shard or of an archive."""
     archive: "Callable[[Worlds, Page], None] | None" = None
@@ -77,7 +80,7 @@ class Task:
 
     contract: Manifest
     """What is promised of the dataset that the shard was made for, without its other shards."""
-    entry: Entry
+    entry: ShardEntry
     """The shard, as the manifest lists it."""
     number: int
     """Its position in the manifest."""
@@ -181,23 +184,9 @@ class Shard:
         return rng_of(self.task.seed, self.task.number)
 
     @cached_property
-    def places(self) -> Sequence[int]:
-        """Positions of its samples in their split; where the shard is cut, as their names tell.
-        Raises BrokenError."""
-        entry = self.task.entry
-        if not entry.cut:
-            return range(entry.start, entry.stop)
-        found: list[int] = (
-            self.task.contract.numbering(entry.split)
-            .place(self.file.column("world"), self.file.column("viewpoint"))
-            .tolist()
-        )
-        if (min(found), max(found)) != (entry.start, entry.stop - 1):
-            raise BrokenError(
-                f"{entry.file}: its samples stood from {min(found)} to {max(found)} in their "
-                f"split, the manifest says {entry.start} to {entry.stop - 1}"
-            )
-        return found
+    def first_place(self) -> int:
+        """The place of its first sample in its split. Raises BrokenError."""
+        return self.task.contract.first_place(self.task.entry)
 
     @cached_property
     def audited(self) -> frozenset[int]:

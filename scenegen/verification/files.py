@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest, trust
+from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
-from scenegen.dataset.rules import stem_of
-from scenegen.dataset.trust import Entry, Manifest
+from scenegen.dataset.manifest import Manifest, ShardEntry, stem_of
 from scenegen.errors import DatasetError, printable, raised_as, short
-from scenegen.files import Json, names_in, sha256_in, world_digest
+from scenegen.files import names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import BrokenError, Ledger, Page
@@ -26,28 +25,24 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     `kind` names a user's own kind whose module may be imported. Raises DatasetError where the
     folder holds no dataset at all, or one of another kind than that.
     """
-    given = manifest.read(folder)
+    content = manifest.read_content(folder)
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
         with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
-            found = trust.parse(given, folder, kind)
+            parsed = manifest.parse(content, folder, kind)
             if kind is not None:
-                if kind not in (there := sorted({home.kind for home in found.homes})):
+                if kind != parsed.kind:
                     raise DatasetError(
-                        f"--kind {kind}: the dataset's kind is {short(' or '.join(there))}; leave "
+                        f"--kind {kind}: the dataset's kind is {short(parsed.kind)}; leave "
                         "--kind out, or give that"
                     )
                 with raised_as(DatasetError, "--kind: "):
                     find_kind(kind)
-            for home in found.homes:
-                if home.kind == "scene" and home.scenes is None:
-                    raise BrokenError("recipe.scenes = None: expected the worlds of each split")
-                # spelled out now, so that what is wrong with it is found here
-                home.recipe  # noqa: B018
-        _check_shards(found, page)
-        _check_sources(found, page)
-        contract = found
+            # spelled out now, so that what is wrong with it is found here
+            parsed.recipe  # noqa: B018
+        _check_shards(parsed, page)
+        contract = parsed
     return contract
 
 
@@ -74,11 +69,9 @@ def _check_shards(contract: Manifest, page: Page) -> None:
             f"{where}: counts.{split} = {promised}, but its shards hold {total} samples",
         )
         for number, entry in enumerate(entries):
-            scenes = contract.home(entry).scenes
+            scenes = contract.scenes
             if scenes is not None and not scenes.get(split):
-                raise BrokenError(
-                    f"{where}: recipe.scenes names no world for {split}, which has samples"
-                )
+                raise BrokenError(f"{where}: scenes names no world for {split}, which has samples")
             # of an incomplete dataset, shards between may be missing
             stem = stem_of(split, number) if complete else entry.file.removesuffix(".h5")
             page.expect(
@@ -93,37 +86,18 @@ def _check_shards(contract: Manifest, page: Page) -> None:
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
 
 
-def _check_sources(contract: Manifest, page: Page) -> None:
-    """Whether the manifest of a dataset that has `sources` says that in which all agree, and of
-    the rest that they do not."""
-    disagreeing: Json = {"kind": "several", "engine": "several", "seed": None, "rescan": None}
-    disagreeing |= {"tables": {}, "software": {}}
-    for name, instead in disagreeing.items():
-        first, *others = (getattr(home, name) for home in contract.homes)
-        expected = first if all(other == first for other in others) else instead
-        page.expect(
-            getattr(contract, name) == expected,
-            f"{manifest.NAME}: {'recipe' if name == 'tables' else name} = "
-            f"{short(getattr(contract, name))}: expected {short(expected)}, as its sources say",
-        )
-
-
-def _check_size(contract: Manifest, entry: Entry, is_last: bool, page: Page) -> None:
+def _check_size(contract: Manifest, entry: ShardEntry, is_last: bool, page: Page) -> None:
     """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
-    last of its split; and all shards but that one alike, unless they were merged or taken."""
-    where, most = manifest.NAME, contract.shard_samples
-    each = contract.home(entry).recipe.flight.viewpoints
-    if contract.sources:
-        most = max(most, each)
-    else:
-        page.expect(
-            is_last or entry.samples % each == 0,
-            f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
-        )
-        most = max(most // each, 1) * each
+    last of its split; and all shards but that one alike."""
+    where, each = manifest.NAME, contract.recipe.flight.viewpoints
     page.expect(
-        entry.samples <= most and (is_last or contract.sources or entry.samples == most),
-        f"{where}: {entry.file} holds {entry.samples} samples, expected {most} with "
+        is_last or entry.samples % each == 0,
+        f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
+    )
+    expected = max(contract.shard_samples // each, 1) * each
+    page.expect(
+        entry.samples <= expected and (is_last or entry.samples == expected),
+        f"{where}: {entry.file} holds {entry.samples} samples, expected {expected} with "
         f"shard_samples = {contract.shard_samples}",
     )
 
@@ -189,9 +163,8 @@ def _worlds_from_files(worlds: Worlds, page: Page) -> None:
     for number in worlds.documents:
         page.expect(
             world_digest(*worlds.source(number)).hex()
-            == (listed[number].get("sha256") if number < len(listed) else None),
-            f"{entry.worlds}: {number:06d}.xml is not the world that the manifest's "
-            f"recipe.scenes names",
+            == (listed[number].sha256 if number < len(listed) else None),
+            f"{entry.worlds}: {number:06d}.xml is not the world that the manifest's scenes names",
         )
 
 

@@ -6,17 +6,20 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
+from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
-from scenegen.dataset.locate import locate
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.opening import open_data
+from scenegen.dataset.sensor_file import rays_digest
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
 from scenegen.recipe import preset
-from scenegen.run import Counted, Executor, unheard
+from scenegen.run import Begun, Counted, Executor, unheard
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
@@ -33,9 +36,9 @@ from scenegen.verification.check import (
 from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.report import BrokenError, Ledger, Report
+from scenegen.verification.report import BrokenError, Ledger, Outcome, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
-from scenegen.verification.splits import MOST_TWINS
+from scenegen.verification.splits import MOST_TWINS, world_digests
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.verification.viewpoints import CHECKS as OF_VIEWPOINTS
 from scenegen.worlds.world import quiet_mujoco
@@ -52,8 +55,14 @@ CHECKS = tuple(
 def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> list[Check]:
     """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
     Raises ValueError for a name that leads to no check."""
-    fields = {"", *(name for home in contract.homes for name in home.fields)}
-    applying = [check for check in CHECKS if (check.quick or not quick) and check.field in fields]
+    fields = {"", *contract.fields}
+    applying = [
+        check
+        for check in CHECKS
+        if (check.quick or not quick)
+        and check.field in fields
+        and (contract.parts or not check.part)
+    ]
     return [*applying, *map(OWN_CHECKS.find, own)]
 
 
@@ -143,7 +152,8 @@ def verify(
     """Check a dataset against the format, and by checks of your own.
 
     Args:
-        dataset: It, its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
+        dataset: What `scenegen.load` takes: of a collection or a selection, every dataset is
+            checked whole, and that they go together.
         quick: Make the cheap checks alone.
         seed: Chooses the samples that are cast and made anew.
         kind: A user's own kind, by which worlds may be drawn again: no module is imported because a
@@ -163,42 +173,115 @@ def verify(
             `own` leads to no check.
         GenerationError: `execute` lost a shard for good.
     """
-    folder, execute = locate(dataset, whole=True), execute or Local("", workers)
-    ledger = Ledger()
-    contract = read_contract(folder, ledger, kind)
-    report = partial(Report, folder=str(folder), quick=quick, seed=seed)
-    if contract is None:
-        return report(samples=0, checks=(ledger[MANIFEST.name].outcome(MANIFEST.name),))
-    with raised_as(DatasetError, "--check: "):
-        checks = chosen_checks(contract, quick=quick, own=own)
-    all_tasks = _tasks(contract, quick=quick, seed=seed, own=own)
-    tasks = execute.mine(all_tasks)
-    samples = sum(task.entry.samples for task in tasks)
-    order, waiting = deque(task.number for task in tasks), dict[int, Ledger]()
-    if tasks and not quick:
-        warm_up()
-    guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
-    with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
-        for number, findings in results:
-            waiting[number] = findings
-            # in the order of shards, and no more of them kept than are early
-            while order and order[0] in waiting:
-                ledger.add(waiting.pop(order.popleft()))
-                ledger[EXAMINED.name].count(shards=1)
-            on_done(all_tasks[number].entry.samples)
-    outcomes = []
-    for check in checks:
-        with ledger.checking(check.name) as page:
-            if check.folder is not None and len(tasks) == len(all_tasks):
-                check.folder(contract, page)
-            elif check.folder is not None:
-                page.skipped = (
-                    f"compares all {len(all_tasks)} shards, and {len(tasks)} are examined here"
+    execute = execute or Local("", workers)
+    folders = [one.folder for one in open_data(dataset, partial=True).datasets]
+    walks = [
+        _Walk(folder, quick=quick, seed=seed, kind=kind, own=own, execute=execute)
+        for folder in folders
+    ]
+    samples = sum(walk.samples for walk in walks)
+    for number, walk in enumerate(walks):
+        walk.run((lambda: on_start(samples)) if number == 0 else (lambda: None), on_done)
+    outcomes = [outcome for walk in walks for outcome in walk.outcomes]
+    if len(walks) > 1:
+        outcomes = [
+            replace(outcome, name=f"{walk.folder.name}: {outcome.name}")
+            for walk in walks
+            for outcome in walk.outcomes
+        ]
+        outcomes.append(_together(walks))
+    return Report(
+        folder=str(dataset), quick=quick, seed=seed, samples=samples, checks=tuple(outcomes)
+    )
+
+
+class _Walk:
+    """The examination of one dataset."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        quick: bool,
+        seed: int,
+        kind: str | None,
+        own: Sequence[str],
+        execute: Executor,
+    ):
+        self.folder, self.ledger, self._execute = folder, Ledger(), execute
+        self._quick = quick
+        self.contract = read_contract(folder, self.ledger, kind)
+        self.outcomes: list[Outcome] = []
+        self._checks: list[Check] = []
+        self._all_tasks: list[Task] = []
+        if self.contract is not None:
+            with raised_as(DatasetError, "--check: "):
+                self._checks = chosen_checks(self.contract, quick=quick, own=own)
+            self._all_tasks = _tasks(self.contract, quick=quick, seed=seed, own=own)
+        self._tasks = execute.mine(self._all_tasks)
+        self.samples = sum(task.entry.samples for task in self._tasks)
+
+    def run(self, on_start: Begun, on_done: Counted) -> None:
+        """Examine every shard, and then the whole."""
+        if self.contract is None:
+            self.outcomes.append(self.ledger[MANIFEST.name].outcome(MANIFEST.name))
+            return
+        order, waiting = deque(task.number for task in self._tasks), dict[int, Ledger]()
+        if self._tasks and not self._quick:
+            warm_up()
+        guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
+        with closing(self._execute(guarded, self._tasks, on_start)) as results:
+            for number, findings in results:
+                waiting[number] = findings
+                # in the order of shards, and no more of them kept than are early
+                while order and order[0] in waiting:
+                    self.ledger.add(waiting.pop(order.popleft()))
+                    self.ledger[EXAMINED.name].count(shards=1)
+                on_done(self._all_tasks[number].entry.samples)
+        for check in self._checks:
+            with self.ledger.checking(check.name) as page:
+                if check.folder is not None and len(self._tasks) == len(self._all_tasks):
+                    check.folder(self.contract, page)
+                elif check.folder is not None:
+                    page.skipped = (
+                        f"compares all {len(self._all_tasks)} shards, and {len(self._tasks)} are "
+                        f"examined here"
+                    )
+                if not (page.faults or page.skipped or page.counts):
+                    page.skipped = "counted nothing that it examined: see what failed"
+            self.outcomes.append(page.outcome(check.name))
+
+
+def _together(walks: Sequence[_Walk]) -> Outcome:
+    """Whether datasets that are read as one share no world between splits, and no sample."""
+    ledger, name = Ledger(), "together"
+    with ledger.checking(name) as page:
+        split_of, where = dict[bytes, str](), dict[bytes, str]()
+        for walk in walks:
+            if walk.contract is None:
+                continue
+            page.count(datasets=1)
+            shards = walk.contract.shards
+            for split, digest in world_digests(walk.contract, walk.ledger["splits"]):
+                place = f"{walk.folder.name}, {split}"
+                before = split_of.setdefault(digest, split)
+                other = where.setdefault(digest, place)
+                page.expect(
+                    before == split,
+                    f"{place}: a world has the same solids as one of {other}; no world may be in "
+                    "two splits",
                 )
-            if not (page.faults or page.skipped or page.counts):
-                page.skipped = "counted nothing that it examined: see what failed"
-        outcomes.append(page.outcome(check.name))
-    return report(samples=samples, checks=tuple(outcomes))
+            digests = b"".join(walk.ledger["digest"].kept)
+            first = sum(len(own) // 32 for own in walk.ledger["digest"].kept)
+            page.count(samples=first, shards=len(shards))
+            for n in range(0, len(digests), 32):
+                own = b"sample" + digests[n : n + 32]
+                other = where.setdefault(own, walk.folder.name)
+                page.expect(
+                    other == walk.folder.name,
+                    f"{walk.folder.name}: holds a sample of {other}; leave one of the two out",
+                )
+    return page.outcome(name)
 
 
 class _Examination(Limited):
@@ -210,7 +293,7 @@ class _Examination(Limited):
         if note_of(contract.folder) is not None:
             fetch_all(
                 contract.folder,
-                [entry.file, entry.worlds, *contract.rays.values()],
+                [entry.file, entry.worlds, *rays_digest(contract.tables.lidar)],
             )
         return super().__call__(task)
 
@@ -218,13 +301,11 @@ class _Examination(Limited):
 def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) -> list[Task]:
     """One a shard; none carries the list of all shards, which would make their sum grow as its
     square."""
-    homes = [replace(home, shards=()) for home in contract.homes]
-    for home in homes:
-        home.recipe, home.fingerprint  # noqa: B018 (worked out once, and carried along)
+    bare = msgspec.structs.replace(contract, shards=())
     every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
     return [
         Task(
-            contract=homes[entry.source],
+            contract=bare,
             entry=entry,
             number=number,
             quick=quick,

@@ -12,9 +12,8 @@ from lidarsim import Scan
 from lidarsim.engines import ENGINES
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.rescan import scan_again
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.like import scan_again
+from scenegen.dataset.manifest import Manifest, differences
 from scenegen.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
 from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe
@@ -54,7 +53,7 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
     failed = (GenerationError, RecipeError, SceneError)
     with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
-        if contract.rescan is not None:
+        if contract.like is not None:
             with raised_as(BrokenError, f"{shard.task.entry.file}: "):
                 stored = (partial(shard.file.value, row=row) for row, _ in views)
                 poses = [[scan.pose for scan in scans_of(contract, one)] for one in stored]
@@ -69,7 +68,7 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
 
 def why_not_made(contract: Manifest) -> str:
     """Why flights cannot be made again here; empty where they can."""
-    if not contract.drawn and contract.scenes is None and contract.rescan is None:
+    if not contract.is_drawn and contract.scenes is None and contract.like is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
         return (
             f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again"
@@ -95,11 +94,11 @@ def why_other(contract: Manifest) -> str:
     """Why what is made again here need not have the dataset's bits; empty where it must."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
-    if contract.noise is not None and (drawn := contract.noise["version"]) != VERSION:
+    if contract.noise is not None and (drawn := contract.noise.version) != VERSION:
         return f"made with noise of version {drawn}, here is version {VERSION}"
     differing = differences(dict(contract.software), software(), ("there", "here"))
-    there, here = contract.tables.get("version", 0), contract.recipe.version
-    if contract.drawn and there != here:
+    there, here = contract.tables.version, contract.recipe.version
+    if contract.is_drawn and there != here:
         differing.append(f"recipe.version is {there} there, {here} here")
     return f"made with other software: {', '.join(differing)}" if differing else ""
 
@@ -150,7 +149,7 @@ def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     stored ones, where the same software made these. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
-    unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
+    unit, view = divmod(sample.shard.first_place + sample.row, contract.recipe.flight.viewpoints)
     failed = (GenerationError, ValueError)
     with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=failed):
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
@@ -178,9 +177,6 @@ def _fly_again(shard: Shard, page: Page) -> None:
     rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)
-        if not flights:
-            page.skipped = "no flight of the samples that were taken is whole from its beginning"
-            return
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
@@ -190,20 +186,13 @@ def _fly_again(shard: Shard, page: Page) -> None:
 
 
 def _flights(shard: Shard) -> list[tuple[int, Views]]:
-    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
-    again, those alone of which it has the first views in a row, for the noise of a view depends on
-    its number. Raises BrokenError."""
+    """Units of which the shard has samples, and (row, view) of these. Raises BrokenError."""
     task = shard.task
-    found: dict[int, Views] = {}
-    for row, place in enumerate(shard.places):
-        unit, view = divmod(place, task.contract.recipe.flight.viewpoints)
-        found.setdefault(unit, []).append((row, view))
-    again = task.contract.rescan is not None
-    return [
-        (unit, views)
-        for unit, views in found.items()
-        if not again or all(view == n for n, (_, view) in enumerate(views))
-    ]
+    by_unit: dict[int, Views] = {}
+    for row in range(task.entry.samples):
+        unit, view = divmod(shard.first_place + row, task.contract.recipe.flight.viewpoints)
+        by_unit.setdefault(unit, []).append((row, view))
+    return list(by_unit.items())
 
 
 def _compare_flight(shard: Shard, unit: int, views: Views, page: Page) -> None:

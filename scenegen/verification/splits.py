@@ -2,6 +2,7 @@
 for such near-twins."""
 
 import functools
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.manifest import Manifest
 from scenegen.verification.check import Check, Sample, Worlds
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import map_digest
@@ -140,6 +141,13 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
     )  # there may be millions
 
 
+def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]:
+    """The split and the digest of every world that was examined."""
+    for number, digests, _ in page.kept:
+        for first in range(0, len(digests), DIGEST_BYTES):
+            yield contract.shards[number].split, digests[first : first + DIGEST_BYTES]
+
+
 def _in_one_split(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
@@ -159,7 +167,7 @@ def _in_one_split(contract: Manifest, page: Page) -> None:
 
 
 def _keep_signature(sample: Sample, page: Page) -> None:
-    if sample.shard.places[sample.row] % sample.shard.task.twins_of:
+    if (sample.shard.first_place + sample.row) % sample.shard.task.twins_of:
         return
     occupancy, observed = sample.fields["occupancy"], sample.fields["observed"]
     signs = signature(occupancy), fold(observed), int(np.count_nonzero(observed))
@@ -180,7 +188,7 @@ def _compare(contract: Manifest, page: Page) -> None:
     def opened(number: int) -> ShardFile:
         entry = contract.shards[number]
         path = contract.folder / entry.file
-        return open_shard(open_file(path), path, entry.samples, contract.home(entry).layout)
+        return open_shard(open_file(path), path, entry.samples, contract.layout)
 
     for one, other in ((places[a], places[b]) for a, b in pairs):
         seen_iou = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))

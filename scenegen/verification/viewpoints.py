@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen import SPLITS
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.manifest import Manifest
 from scenegen.verification.check import Check, Sample
 from scenegen.verification.report import Page
 
@@ -54,7 +54,7 @@ def _differ(contract: Manifest, page: Page) -> None:
 def _flown(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     contract, position = sample.contract, sample.fields["position"]
-    _keep(sample, page, np.array((sample.shard.places[sample.row], position), PLACE))
+    _keep(sample, page, np.array((sample.shard.first_place + sample.row, position), PLACE))
     recipe, spacing_m = contract.recipe, contract.mapping.scan_spacing_m
     if recipe.world is not None:
         low, high = recipe.flight.bounds(recipe.world.size_m)
@@ -75,26 +75,23 @@ def _flown(sample: Sample, page: Page) -> None:
 
 def _far_apart(contract: Manifest, page: Page) -> None:
     records, shards = _all_kept(page, PLACE)
-    flights = [home.recipe.flight for home in contract.homes]
-    sources = np.array([entry.source for entry in contract.shards], np.int64)[shards]
+    flight = contract.recipe.flight
     splits = np.array([SPLITS.index(entry.split) for entry in contract.shards], np.int64)[shards]
-    units = records["place"] // np.array([flight.viewpoints for flight in flights])[sources]
-    least_m = np.array([flight.spacing_m for flight in flights])[sources]
-    order = np.lexsort((records["place"], splits, sources))
+    units, least_m = records["place"] // flight.viewpoints, flight.spacing_m
+    order = np.lexsort((records["place"], splits))
     for step in range(1, len(order)):  # those of one flight come one after the other
         one, other = order[:-step], order[step:]
         pairs = (units[one] == units[other]) & (splits[one] == splits[other])
-        pairs &= sources[one] == sources[other]
         if not pairs.any():
             break
         one, other = one[pairs], other[pairs]
         apart_m = _distances_m(records["position"][one], records["position"][other])
-        for n in np.flatnonzero(~(apart_m >= least_m[one] - ROUNDING_M)):
+        for n in np.flatnonzero(~(apart_m >= least_m - ROUNDING_M)):
             named = (f"{contract.shards[shards[at]].file}" for at in (one[n], other[n]))
             page.fault(
                 f"{' and '.join(dict.fromkeys(named))}: samples {records['place'][one[n]]} and "
                 f"{records['place'][other[n]]} of {SPLITS[splits[one[n]]]} are of one flight and "
-                f"{apart_m[n]:.6g} m apart, expected flight.spacing_m = {least_m[one[n]]:g}"
+                f"{apart_m[n]:.6g} m apart, expected flight.spacing_m = {least_m:g}"
             )
 
 
@@ -108,7 +105,7 @@ def _distances_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArra
 def _accepted(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     contract, fields = sample.contract, sample.fields
-    if contract.rescan is not None:
+    if contract.like is not None:
         return  # which keeps every viewpoint, whatever the other sensor sees there
     accept, known = contract.recipe.accept, contract.known
     occupied = int(np.bitwise_count(sample.packed["occupancy"]).sum()) / fields["occupancy"].size

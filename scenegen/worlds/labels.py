@@ -3,8 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
@@ -17,6 +16,7 @@ from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids, local
 from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
+from scenegen.parts.labels import NOTHING, By, Labels
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
@@ -24,41 +24,21 @@ from scenegen.worlds.classes import CLASSES, OTHER
 from scenegen.worlds.drawing import SHAPES
 from scenegen.worlds.world import World
 
-By: TypeAlias = Literal["class", "name", "material", "group"]
-"""What decides the class of a geom."""
-NOTHING = "nothing"
-"""Class 0: of a ray without a return, and of a voxel that is not occupied."""
 GROUPS = tuple(f"group {n}" for n in range(mujoco.mjNGROUP))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Labels:
-    """What decides the class of a geom, and what classes there are.
-
-    By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
-    a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
-    material in the same way. A geom without such a name is of the class of its shape. By `group`,
-    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same
-    for all kinds of worlds: the material's, and "other" for a geom whose material has another
-    name.
-    """
-
-    by: By
-    classes: tuple[str, ...]
-    """Names of classes; a class is its place in here, and the first is `NOTHING`."""
-
-    def of(self, world: World) -> NDArray[np.uint16]:
-        """The class of every geom of a world, (ngeom,). Raises GenerationError for one that is none
-        of `classes`."""
-        place = {name: number for number, name in enumerate(self.classes)}
-        named = class_names(world.model, self.by)
-        for geom, name in enumerate(named):
-            if name not in place:
-                raise GenerationError(
-                    f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
-                    "was not known before; name it in the kind's `classes`, or give --labels group"
-                )
-        return np.array([place[name] for name in named], np.uint16)
+def classes_of(world: World, labels: Labels) -> NDArray[np.uint16]:
+    """The class of every geom of a world, (ngeom,). Raises GenerationError for one that is none of
+    the labels' classes."""
+    place = {name: number for number, name in enumerate(labels.classes)}
+    named = class_names(world.model, labels.by)
+    for geom, name in enumerate(named):
+        if name not in place:
+            raise GenerationError(
+                f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
+                "was not known before; name it in the kind's `classes`, or give --labels group"
+            )
+    return np.array([place[name] for name in named], np.uint16)
 
 
 def class_names(model: mujoco.MjModel, by: By) -> list[str]:
@@ -111,7 +91,7 @@ def label_fields(
         GenerationError: A geom is of none of the classes.
     """
     # -1, no geom, is the last
-    classes = np.append(labels.of(world), [0]).astype("<u2")
+    classes = np.append(classes_of(world, labels), [0]).astype("<u2")
     directions = rotate(sample["quaternion"], lidar.directions_body)
     origin = np.asarray(sample["position"])[None]
     engine: Any = world.caster(AnalyticEngine.of)

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenegen.share.regenerate import closure
 
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import looks
 from scenegen.draw import draw_unit
 from scenegen.sample import FIELDS
-from scenegen.share.regenerate import closure
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.scenegen.hub import TOKEN, Hub

@@ -10,10 +10,10 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from scenegen.dataset.trust import parse
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import parse
 from scenegen.errors import RecipeError
 from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
 from scenegen.recipe import make_recipe, preset, read_recipe

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.read import Dataset, Rows
+from scenegen.dataset.read import AnyDataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.display.exchange.files import Classed, OneEach
 from scenegen.errors import DatasetError, printable, raised_as
@@ -40,7 +40,7 @@ class Converted:
 
 
 def convert(
-    dataset: Dataset,
+    dataset: AnyDataset,
     out: Path,
     *,
     to: str,
@@ -71,16 +71,17 @@ def convert(
     with raised_as(DatasetError):
         kind = FORMATS.find(to)
     form = kind(choices)
-    manifest = dataset.manifest
+    manifests = [one.manifest for one in dataset.datasets]
     about = {
         "format": to,
         "choices": asdict(choices),
-        "dataset": manifest.fingerprint,
-        "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
-        "grid": manifest.parameters["grid"],
+        "digest": dataset.digest,
+        "shards": [shard.sha256 for one in manifests if not one.complete for shard in one.shards],
+        "grid": manifests[0].tables.grid,
     }
-    if manifest.labels and isinstance(form, OneEach):
-        about["classes"] = form.classes = tuple(manifest.labels["classes"])
+    classes = {one.parts["labels"].classes for one in manifests if "labels" in one.parts}
+    if len(classes) == 1 and isinstance(form, OneEach):
+        about["classes"] = form.classes = tuple(*classes)
     claim(out, STATE, about)
     each = getattr(form, "together", None) or CHUNK
     whole = [
@@ -107,7 +108,7 @@ def convert(
     return Converted(total - there - len(lines), there, others, lines, tuple(notes))
 
 
-def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:
+def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:
     """Writes the samples `rows`; those of a format that takes several together become one file.
     How many were there, and what is wrong with those that are left out."""
     samples, together = dataset.split(rows.split), getattr(form, "together", None)

@@ -9,11 +9,11 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_take
 
 from lidarsim import Lidar
 from scenegen.dataset.build import build
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.api import train

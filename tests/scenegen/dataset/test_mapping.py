@@ -7,17 +7,17 @@ import h5py
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scenegen.dataset.rescan import plan_rescan, scan_again
+from scenegen.share.regenerate import check_source, source_file
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan, scan_again
 from scenegen.draw import UnitKey
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.recipe import make_recipe, read_recipe
-from scenegen.share.regenerate import check_source, source_file
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.flight import Route

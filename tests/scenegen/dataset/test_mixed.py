@@ -5,19 +5,19 @@ import re
 
 import numpy as np
 import pytest
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_merge, plan_take
+from scenegen.dataset.parts import write_rays
+from scenegen.share.regenerate import recipe_text
 
 import scenegen
 from lidarsim import fuse
 from scenegen.dataset import manifest, trust
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.generation import plan_generation, read_components
-from scenegen.dataset.parts import write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, RecipeError
 from scenegen.model.training.data import Maps, SplitSamples
 from scenegen.recipes import kind_names
-from scenegen.share.regenerate import recipe_text
 from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
 from tests.command_line import done, refused, rows

@@ -7,20 +7,20 @@ import shutil
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scenegen.cli.derive import rescan
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.share.regenerate import check_source, source_file
 
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise import VERSION
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
-from scenegen.cli.derive import rescan
 from scenegen.cli.options import mapping_given
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
 from scenegen.recipe import preset, read_recipe
-from scenegen.share.regenerate import check_source, source_file
 from scenegen.share.stage import Request, examine, stage
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify

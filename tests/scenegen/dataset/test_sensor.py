@@ -11,13 +11,13 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
+from scenegen.share.regenerate import check_source, source_file
 
 from lidarsim import BeamTable, Lidar
 from scenegen.dataset import manifest
-from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.errors import BrokenError, DatasetError, PublishError
-from scenegen.share.regenerate import check_source, source_file
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe

@@ -5,12 +5,12 @@ import shlex
 from importlib.metadata import version
 
 import pytest
+from scenegen.dataset.trust import parse
+from scenegen.share.regenerate import check_kind, closure, command, environment_lock
 
 from scenegen.cli.generate import generate
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import parse
 from scenegen.errors import PublishError
-from scenegen.share.regenerate import check_kind, closure, command, environment_lock
 from tests.conftest import plan_of
 
 

@@ -2,14 +2,14 @@
 nothing else changes. Here, ten take the place of a thousand."""
 
 import pytest
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_merge, plan_take
+from scenegen.dataset.rescan import plan_rescan
 
 from scenegen import load
 from scenegen.dataset import manifest, rules
 from scenegen.dataset.build import build
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan
 from scenegen.files import names_in
 from scenegen.stores import folder_of
 from scenegen.verification import verify

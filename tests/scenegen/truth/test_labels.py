@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scenegen.dataset.rescan import plan_rescan
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from scenegen.dataset.build import plan_dataset
-from scenegen.dataset.rescan import plan_rescan
 from scenegen.errors import GenerationError
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, stage

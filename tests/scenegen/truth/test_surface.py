@@ -7,15 +7,15 @@ import itertools
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.share.regenerate import recipe_text
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
 from scenegen.dataset.build import build
-from scenegen.dataset.rescan import plan_rescan
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
-from scenegen.share.regenerate import recipe_text
 from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
 from tests.conftest import plan_of, small_recipe

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from scenegen.dataset.choose import Choice, Condition
+from scenegen.dataset.gather import plan_merge, plan_take
+from scenegen.dataset.rescan import plan_rescan, scan_again
 
 from lidarsim import Lidar, MujocoEngine, Pose
 from scenegen.dataset import manifest
-from scenegen.dataset.choose import Choice, Condition
-from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan, scan_again
 from scenegen.draw import UnitKey
 from scenegen.sample import GROUPS
 from scenegen.worlds.world import compile_world

@@ -5,16 +5,16 @@ import shutil
 
 import numpy as np
 import pytest
+from scenegen.dataset.choose import Choice, Condition
+from scenegen.dataset.gather import plan_merge, plan_take
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.dataset.rules import Numbering
 
 from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.choose import Choice, Condition
-from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan
-from scenegen.dataset.rules import Numbering
 from scenegen.errors import DatasetError, PublishError
 from scenegen.share.stage import Request, examine
 from scenegen.source import read_scenes

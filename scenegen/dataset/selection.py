@@ -1,26 +1,28 @@
 """Which samples of a dataset are taken: by split, world, number, and by what is measured of one
 sample."""
 
+import hashlib
 import io
+import json
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from lidarsim.grid import Field, Floats, Ints, Mask
+from lidarsim.grid import Field, Floats, Ints
 from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.trust import Entry
+from scenegen.dataset.opening import SelectedDataset, SelectionFile, name_from
+from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_SAMPLES
 from scenegen.run import chunked
 from scenegen.run.workers import run
 from scenegen.sample import Sample
@@ -77,37 +79,82 @@ SIGNS = {
     ">": operator.gt,
     "=": operator.eq,
 }
-AT_ONCE = 16
-"""Shards that a worker is given before it is seen whether enough was found."""
+AT_ONCE = 1000
+"""Samples that a worker is given before it is seen whether enough were found."""
+DIGEST_BYTES = 32
+MEASURED_AGAIN = 5
+"""So many samples are measured again before measures that are kept are believed."""
 
 
 def measures_file(dataset: Dataset) -> Path:
     """Where `scenegen inspect --keep` puts the measures of all samples of a complete dataset:
     beside its shards, by its digest, so that those of another dataset are never taken for its
     own."""
-    return dataset.folder / f"figures-{str(dataset.manifest.digest)[:16]}.npy"
+    return dataset.folder / f"figures-{dataset.digest[:16]}.npy"
 
 
 def encode_measures(table: Floats) -> bytes:
-    """The content of that file, from the `MEASURES` (samples, measures) of all splits in order."""
+    """The content of that file: the `MEASURES` (samples, measures) of all splits in order, and
+    behind them their SHA-256."""
     file = io.BytesIO()
     np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
-    return file.getvalue()
+    return file.getvalue() + hashlib.sha256(file.getvalue()).digest()
 
 
-def kept_measures(dataset: Dataset) -> dict[str, Floats]:
-    """What that file holds, (samples, measures) by split; {} where there is none, or it is not as
-    this version writes it."""
+def kept_measures(dataset: AnyDataset) -> dict[str, Floats]:
+    """The measures that are kept beside a dataset, (samples, measures) by split; {} where there are
+    none, or the file is damaged or not as this version writes it.
+
+    Of a collection, they are those of its datasets, where all have them.
+
+    Raises:
+        DatasetError: A few samples were measured again, and are not as the file says.
+    """
+    tables = {one.folder: _kept_of_one(one) for one in dataset.datasets}
+    if not all(tables.values()):
+        return {}
+    of_dataset = {}
+    for name in SPLITS:
+        split = dataset.split(name)
+        columns = [tables[piece.dataset.folder][name][own_numbers(piece)] for piece in split.pieces]
+        of_dataset[name] = np.concatenate([np.empty((0, len(COLUMNS))), *columns])
+    return of_dataset
+
+
+def own_numbers(piece: Piece) -> Ints:
+    """The numbers, (N,), of a piece's samples in the split of their dataset."""
+    split = piece.dataset.split(piece.entry.split)
+    first = split.first([one.entry for one in split.pieces].index(piece.entry))
+    return first + (np.arange(piece.entry.samples) if piece.rows is None else piece.rows)
+
+
+def _kept_of_one(dataset: Dataset) -> dict[str, Floats]:
+    """See `kept_measures`."""
     counts = [len(dataset.split(name)) for name in SPLITS]
+    path = measures_file(dataset)
     try:
-        most = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES
-        table = read_npy(read_bounded(measures_file(dataset), most))
+        most = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES + DIGEST_BYTES
+        content = read_bounded(path, most)
+        body, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
+        if hashlib.sha256(body).digest() != digest:
+            return {}
+        table = read_npy(body)
     except (OSError, ValueError, ScenegenError):
         return {}
     if table.dtype != ROW or table.shape != (sum(counts),):
         return {}
     table = table.view("<f8").reshape(-1, len(COLUMNS))
-    return dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
+    by_split = dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
+    name = max(by_split, key=lambda name: len(by_split[name]))
+    for index in np.linspace(0, len(by_split[name]) - 1, MEASURED_AGAIN).astype(int).tolist():
+        sample = dataset.split(name)[index]
+        again = [measure(sample) for measure in MEASURES.values()]
+        if not np.array_equal(by_split[name][index], again, equal_nan=True):
+            raise DatasetError(
+                f"{path}: what it says of {name} sample {index} is not what is measured of it; "
+                f"measure again: scenegen inspect {quote(str(dataset.folder))} --keep"
+            )
+    return by_split
 
 
 @dataclass(frozen=True)
@@ -132,7 +179,6 @@ class Condition:
         )
 
     def __str__(self) -> str:
-        # to the last digit: it is what tells a dataset that was taken from another
         return f"{self.name}{self.sign}{self.value!r}".removesuffix(".0")
 
     def holds(self, values: Any) -> Any:
@@ -154,7 +200,7 @@ class Choice:
     where: tuple[Condition, ...] = ()
 
     def __str__(self) -> str:
-        """As the command's options say it; what a manifest tells of it."""
+        """As the command's options say it; what a selection tells of it."""
         words = [f"--split {split}" for split in self.splits if self.splits != SPLITS]
         words += [] if self.most is None else [f"--n {self.most}"]
         words += [f"--kind {kind}" for kind in self.kinds]
@@ -162,25 +208,8 @@ class Choice:
         return " ".join([*words, *(f"--where {condition}" for condition in self.where)])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Chosen:
-    """The samples that are taken of one shard."""
-
-    dataset: Dataset
-    entry: Entry
-    rows: Ints
-    """The rows of the shard's samples that are taken, in order."""
-    places: Ints
-    """The positions of these samples in the split of the dataset that they were made for."""
-
-    def only(self, kept: Any) -> "Chosen":
-        """The same with those samples alone that `kept` says, a mask or a slice."""
-        return replace(self, rows=self.rows[kept], places=self.places[kept])
-
-
-def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Chosen]:
-    """The samples of `dataset` that are taken, shard by shard in its order, and none of a shard
-    without any.
+def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str, Ints]:
+    """The samples of `dataset` that are taken: their numbers in each split, rising.
 
     Samples are read only where something measured is asked for that is not kept beside them, by
     `workers` processes. Raises DatasetError, also where measures of whole worlds are not kept.
@@ -189,50 +218,66 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     kept = kept_measures(dataset) if conditions else {}
     of_worlds = [one.name for one in conditions if one.name not in MEASURES]
     if of_worlds and not kept:
+        folder = dataset.datasets[0].folder
         raise DatasetError(
-            f"{dataset.folder}: {of_worlds[0]} is a mean over all maps of a world; measure these "
-            f"first: scenegen inspect {quote(str(dataset.folder))} --keep"
+            f"{dataset.name}: {of_worlds[0]} is a mean over all maps of a world; measure these "
+            f"first: scenegen inspect {quote(str(folder))} --keep"
         )
-    for name in SPLITS:
-        if name not in choice.splits:
-            continue
+    numbers = {}
+    for name in (name for name in SPLITS if name in choice.splits):
         split = dataset.split(name)
-        measures = {one.name: measure_of(split, kept[name], one.name) for one in conditions if kept}
-        left = MOST_SAMPLES if choice.most is None else choice.most
-        for chosen in _of_split(split, choice, conditions, measures, workers):
-            chosen = chosen.only(slice(left))
-            left -= len(chosen.rows)
-            if len(chosen.rows):
-                yield chosen
-            if not left:
-                break
+        candidates = _by_number(split, choice)
+        if kept:
+            for condition in conditions:
+                values = measure_of(split, kept[name], condition.name)
+                candidates = candidates[condition.holds(values[candidates])]
+        elif conditions:
+            candidates = _by_measuring(split, conditions, candidates, choice.most, workers)
+        numbers[name] = candidates[: choice.most]
+    return numbers
 
 
-def _of_split(
+def _by_number(split: Split, choice: Choice) -> Ints:
+    """The samples of a split that fulfil what can be asked without reading them."""
+    world, viewpoint = split.numbers
+    values = {"sample": np.arange(len(split)), "world": world, "viewpoint": viewpoint}
+    kept = np.ones(len(split), bool)
+    if choice.kinds:
+        kept[:] = False
+        for kind, of_kind in split.by_kind().items():
+            kept[of_kind] = kind in choice.kinds
+    if choice.worlds:
+        ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
+        kept &= np.any(ranges, axis=0)
+    for condition in choice.where:
+        if condition.name in values:
+            kept &= condition.holds(values[condition.name])
+    return np.flatnonzero(kept)
+
+
+def _by_measuring(
     split: Split,
-    choice: Choice,
     conditions: tuple[Condition, ...],
-    measures: Mapping[str, Floats],
+    candidates: Ints,
+    most: int | None,
     workers: int,
-) -> Iterator[Chosen]:
-    """What is taken of each shard of a split, however much that is. `conditions` are those on what
-    is measured: they are held against the `measures` of all samples by name, (samples,) each, or,
-    if these are not kept, against samples that are read."""
-    home = split.dataset.manifest.home
-    numbers = [
-        number
-        for number, entry in enumerate(split.shards)
-        if not choice.kinds or home(entry).graded in choice.kinds
-    ]
-    if measures or not conditions:
-        yield from (_of_shard(split, number, choice, measures) for number in numbers)
-        return
+) -> Ints:
+    """Those of the `candidates` whose measures fulfil the `conditions`; of more than `most`, some
+    may be left out."""
+    fulfilling = list[int]()
     # not all at once: whoever takes the first of them needs no more measured
-    for part in chunked(numbers, workers * AT_ONCE):
-        shards = {number: _of_shard(split, number, choice, {}) for number in part}
-        tasks = [(number, shard.rows) for number, shard in shards.items()]
-        fulfil = dict(run(partial(_fulfil, split, conditions), tasks, workers))
-        yield from (shard.only(fulfil[number]) for number, shard in shards.items())
+    for chunk in chunked(candidates.tolist(), workers * AT_ONCE):
+        if most is not None and len(fulfilling) >= most:
+            break
+        for number, fulfils in run(partial(_fulfils, split, conditions), chunk, workers):
+            fulfilling += [number] if fulfils else []
+    return np.array(sorted(fulfilling), np.int64)
+
+
+def _fulfils(split: Split, conditions: tuple[Condition, ...], number: int) -> tuple[int, bool]:
+    """The number of a sample, and whether it fulfils the conditions on what is measured."""
+    sample = split[number]
+    return number, all(one.holds(MEASURES[one.name](sample)) for one in conditions)
 
 
 def measure_of(split: Split, table: Floats, name: str) -> Floats:
@@ -247,32 +292,22 @@ def measure_of(split: Split, table: Floats, name: str) -> Floats:
     return means[worlds]
 
 
-def _of_shard(split: Split, number: int, choice: Choice, measures: Mapping[str, Floats]) -> Chosen:
-    """What is taken of a shard by its samples' numbers, and by the `measures` of all samples of the
-    split, where these are kept."""
-    entry, places = split.shards[number], split.places(number)
-    samples = split.first(number) + np.arange(len(places))
-    values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
-    values |= {name: column[samples] for name, column in measures.items()}
-    kept = np.ones(len(places), bool)
-    if choice.worlds:
-        world = values["world"]
-        ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
-        kept &= np.any(ranges, axis=0)
-    for condition in choice.where:
-        if condition.name in values:
-            kept &= condition.holds(values[condition.name])
-    rows = np.flatnonzero(kept)
-    return Chosen(dataset=split.dataset, entry=entry, rows=rows, places=places[kept])
-
-
-def _fulfil(
-    split: Split, conditions: tuple[Condition, ...], task: tuple[int, Ints]
-) -> tuple[int, Mask]:
-    """Which of the rows of a shard fulfil the conditions on what is measured; with its number."""
-    number, rows = task
-    samples = (split[split.first(number) + row] for row in rows.tolist())
-    return number, np.array(
-        [all(one.holds(MEASURES[one.name](sample)) for one in conditions) for sample in samples],
-        bool,
-    )
+def encode_selection(
+    dataset: AnyDataset, numbers: Mapping[str, Ints], choice: Choice, folder: Path
+) -> bytes:
+    """The content of a selection's file in `folder`: the samples of `dataset` with these `numbers`,
+    which `choice` describes."""
+    chosen: dict[Path, dict[str, list[int]]] = {one.folder: {} for one in dataset.datasets}
+    for name, of_split in numbers.items():
+        for piece in (split := dataset.split(name)).taken(of_split.tolist()):
+            own = own_numbers(piece).tolist()
+            chosen[piece.dataset.folder].setdefault(split.name, []).extend(own)
+    datasets = [
+        SelectedDataset(
+            path=name_from(folder, one.folder), digest=one.digest, samples=chosen[one.folder]
+        )
+        for one in dataset.datasets
+        if chosen[one.folder]
+    ]
+    document = msgspec.to_builtins(SelectionFile(chosen_by=str(choice), datasets=datasets))
+    return (json.dumps(document) + "\n").encode()

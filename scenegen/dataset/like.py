@@ -1,5 +1,5 @@
-"""A dataset scanned again: the worlds and poses of one that is there, seen by another sensor, or
-with other noise."""
+"""`generate --like`: a dataset again by its manifest, which is its recipe, or its worlds and poses
+seen by another sensor, or with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,15 +7,17 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
-from scenegen import GENERATOR
+from scenegen import GENERATOR, __version__
 from scenegen.dataset import manifest
-from scenegen.dataset.build import divide
-from scenegen.dataset.parts import NAMES, entries, schema_of
+from scenegen.dataset.build import plan_dataset, recipe_entry
+from scenegen.dataset.locate import locate
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
@@ -28,11 +30,10 @@ from scenegen.draw import (
     scans_from,
     truth_of,
 )
-from scenegen.errors import DatasetError, GenerationError, raised_as, short
-from scenegen.files import real_path
+from scenegen.errors import BrokenError, DatasetError, GenerationError, raised_as, short
+from scenegen.files import Json, real_path
 from scenegen.recipe import Recipe
-from scenegen.run.software import software
-from scenegen.source import Source
+from scenegen.source import DrawnWorlds, Source
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.world import AnyWorld
 
@@ -108,6 +109,11 @@ class Archived(Source):
     def __getstate__(self) -> dict[str, Any]:
         return {"folder": self.folder}
 
+    def describe(self) -> Json:
+        """See `Source.describe`."""
+        scenes = manifest.to_json(self.dataset.manifest)["scenes"]
+        return scenes or {}
+
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
         numbering = self.dataset.manifest.numbering(split)
@@ -124,7 +130,7 @@ class Archived(Source):
 
 
 @dataclass(frozen=True)
-class RescanSpec(ShardSpec):
+class ScanAgain(ShardSpec):
     """A shard of a dataset that is scanned again."""
 
     def draw(self, unit: int) -> Unit:
@@ -154,50 +160,120 @@ class RescanSpec(ShardSpec):
         )
 
 
-def plan_rescan(
-    dataset: Dataset,
+def plan_like(
+    name: str | Path,
     folder: Path,
     *,
+    kind: str | None = None,
     lidar: Sensor | None = None,
-    chain: Noise | None = None,
-    engine: str | None = None,
+    noise: Noise | None = None,
     mapping: Mapping[str, Any] | None = None,
+    engine: str | None = None,
+    **options: Any,
 ) -> Plan:
-    """Plan in `folder` what `dataset` is with another sensor `lidar`, with noise by `chain`, cast
-    by another `engine`, or mapped otherwise, by some parameters of a `Mapper`; what is not given
-    stays, but for noise, of which there is none then. Poses are those that are stored, unless more
-    earlier scans are asked for, or others: then flights are planned again, for these alone.
+    """Plan in `folder` a dataset like another one.
 
-    Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
+    What is not given is as in that one. Where nothing is given, and its worlds were drawn, they are
+    drawn again by its recipe and seed: the samples are the same, bit for bit. Else its worlds are
+    scanned again from the same poses; where more earlier scans are asked for, or others, its
+    flights are planned again, for these alone.
+
+    Args:
+        name: The dataset; or its manifest, where nothing but the recipe is needed.
+        folder: Where the new one is to be.
+        kind: The dataset's kind, where it is a user's own, so that its module may be imported.
+        lidar: Another sensor.
+        noise: Other noise; empty for none.
+        mapping: Some parameters of a `Mapper`.
+        engine: What casts the rays.
+        options: Others of `plan_dataset`: `counts`, where worlds are drawn again; `compact`.
+
+    Raises:
+        DatasetError: There is no such dataset, or this scenegen would make another one.
     """
-    original = dataset.manifest
-    if original.sources:
-        raise DatasetError(
-            f"{dataset.folder}: its samples were made for other datasets; scan those again, and "
-            f"take or merge then"
-        )
+    path = locate(name)
+    is_file = path.is_file()
+    original = _manifest_of(path, kind)
+    folder_of_original = path.parent if is_file else path
+    if real_path(folder) == real_path(folder_of_original):
+        raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
     if engine is None and original.engine not in ENGINES.builtin:
         raise DatasetError(
-            f"{dataset.folder}: made with the engine {short(original.engine)}, which is not "
-            "imported because a manifest names it; give --engine with its name, or one of ours"
+            f"{name}: made with the engine {short(original.engine)}, which is not imported because "
+            "a manifest names it; give --engine with its name, or one of ours"
+        )
+    if not original.noise_is_ours and noise is None:
+        raise DatasetError(
+            f"{name}: its noise, {short(original.noise_stages)}, has stages that are none of "
+            "scenegen's own, which are not imported because a manifest names them; give --noise"
         )
     engine = engine or original.engine
     find_engine(engine)
-    with raised_as(DatasetError):
-        mapper = replace(original.mapping, **(mapping or {}))
-        recipe = replace(
-            original.recipe, lidar=lidar or original.lidar, noise=chain or Noise(), mapping=mapper
+    with raised_as(DatasetError, f"{name}: ", of=(BrokenError, ValueError)):
+        recipe = original.recipe
+        changed = replace(
+            recipe,
+            lidar=lidar or recipe.lidar,
+            noise=recipe.noise if noise is None else noise,
+            mapping=replace(recipe.mapping, **(mapping or {})),
         )
-    if real_path(folder) == real_path(dataset.folder):
-        raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    left = {name: it for name, it in original.parameters.items() if name not in (*NAMES, "engine")}
-    parameters = left | {
-        "generator": GENERATOR,
-        "fields": list(schema_of(recipe).stored(compact="tudf" not in original.fields)),
-        **entries(recipe),
-        "rescan": {"digest": original.digest},
+    planned: dict[str, Any] = {
+        "seed": original.seed,
+        "counts": original.counts,
+        "compact": "tudf" not in original.fields,
+        "shard_samples": original.shard_samples,
         "engine": engine,
-        "software": software(),
     }
-    parameters["version"] = manifest.version_of(parameters)
-    return divide(folder, parameters, recipe, Archived(dataset.folder), RescanSpec)
+    planned |= options
+    is_changed = changed != recipe or engine != original.engine
+    if not is_changed and original.is_drawn and original.like is None:
+        check_same(original, name)
+        return plan_dataset(folder, changed, DrawnWorlds(changed), **planned)
+    if "counts" in options:
+        raise DatasetError(
+            f"{name}: is scanned again from the same poses, so that the numbers of samples stay; "
+            "leave them out"
+        )
+    if is_file:
+        raise DatasetError(
+            f"{name}: is a manifest alone, and its worlds and poses are needed; give the dataset"
+        )
+    if not original.complete:
+        raise DatasetError(f"{name}: is incomplete; give the command that made it again")
+    # what worlds were drawn by stays, also where their kind is not known here
+    drawn_by = {
+        field: getattr(original.tables, field)
+        for field in ("kind", "version", "difficulty", "world", "flight", "accept")
+    }
+    return plan_dataset(
+        folder,
+        changed,
+        Archived(path),
+        tables=msgspec.structs.replace(recipe_entry(changed), **drawn_by),
+        like=original.digest,
+        shard_type=ScanAgain,
+        **planned,
+    )
+
+
+def _manifest_of(path: Path, kind: str | None) -> Manifest:
+    """The manifest of a dataset, or in a file. Raises DatasetError."""
+    folder = path.parent if path.is_file() else path
+    original = manifest.load(folder)
+    if kind is not None:
+        if kind != original.kind:
+            raise DatasetError(f"--kind {kind}: the dataset's kind is {short(original.kind)}")
+        original = manifest.parse(manifest.read_content(folder), folder, kind)
+    return original
+
+
+def check_same(original: Manifest, name: str | Path) -> None:
+    """Raise DatasetError where this scenegen draws other worlds of the same recipe."""
+    here = {"generator": GENERATOR, "recipe.version": original.recipe.version}
+    stored = {"generator": original.generator, "recipe.version": original.tables.version}
+    if lines := manifest.differences(stored, here, ("there", "here")):
+        made_by = original.software.get("scenegen", "of another version")
+        raise DatasetError(
+            f"{name}: scenegen {__version__} would not make the same dataset again "
+            f"({', '.join(lines)}); use scenegen {short(made_by)}"
+        )
