@@ -23,7 +23,7 @@ from typing import Any
 
 import measuring
 
-from scenegen.dataset.manifest import NAME
+from scenegen.dataset.schema import NAME
 
 RECIPE = """
 kind = "pillar"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.dataset.opening import open_data
-from scenegen.dataset.read import Collection, Dataset
+from scenegen.dataset.read import AnyDataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import USUAL, BenchConfig, TrainConfig
@@ -119,7 +119,7 @@ def _samples(given: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
     if isinstance(given, Mapping):
         return opened(given if split == "train" else [*given], split)
-    found, named = _listed(given), (str, Path, Dataset, Collection)
+    found, named = _listed(given), (str, Path, AnyDataset)
     # all at once, so that two datasets that share samples are found
     there = iter(opened([one for one in found if isinstance(one, named)], split))
     return [next(there) if isinstance(one, named) else one for one in found]

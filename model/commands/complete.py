@@ -116,8 +116,8 @@ def complete(
     processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
-    from scenegen.dataset.manifest import NAME
     from scenegen.dataset.opening import COLLECTION, open_data
+    from scenegen.dataset.schema import NAME
     from scenegen.files import claim, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
@@ -205,8 +205,9 @@ def _complete_map(completer: "Completer", place: Path, count: int, out: Path, qu
     page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
     from scenegen.dataset.build import build
     from scenegen.dataset.generation import plan_generation
-    from scenegen.dataset.manifest import NAME, load
+    from scenegen.dataset.manifest import load
     from scenegen.dataset.read import Dataset
+    from scenegen.dataset.schema import NAME
     from scenegen.model.commands.view import write_page
     from scenegen.model.commands.weights import chosen
 

@@ -60,8 +60,8 @@ def inspect(
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
     predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
-    from scenegen.dataset.manifest import NAME
     from scenegen.dataset.opening import COLLECTION
+    from scenegen.dataset.schema import NAME
     from scenegen.display.inspect import MOST_MEASURED, inspect_all, misfits
     from scenegen.display.inspect import inspect as examine
     from scenegen.model.config import NetworkConfig

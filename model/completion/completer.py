@@ -22,7 +22,8 @@ from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
-from scenegen.dataset.manifest import differences, mapping_entry
+from scenegen.dataset.manifest import mapping_entry
+from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Split
 from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number

@@ -12,8 +12,8 @@ import numpy as np
 
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.manifest import stem_of
 from scenegen.dataset.read import AnyDataset, Split
+from scenegen.dataset.schema import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import Json, claim, make_parent, whole

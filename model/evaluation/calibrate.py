@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.manifest import plain
+from scenegen.dataset.parameters import plain
 from scenegen.dataset.read import AnyDataset
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as

@@ -15,10 +15,11 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
-from scenegen.dataset.generation import fraction
+from scenegen.dataset.collection import check_together
 from scenegen.dataset.opening import open_data
-from scenegen.dataset.read import AnyDataset, check_together
+from scenegen.dataset.read import AnyDataset
 from scenegen.errors import DatasetError, ScenegenError, short
+from scenegen.mixture import fraction
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from lidarsim import GridSpec
-from scenegen.dataset.manifest import differences, plain
+from scenegen.dataset.parameters import differences, plain
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES

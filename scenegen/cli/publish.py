@@ -110,7 +110,7 @@ def publish(
 
 def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
     """Prints what was made, and sent."""
-    from scenegen.dataset.manifest import pattern_of
+    from scenegen.dataset.schema import pattern_of
     from scenegen.share.upload import IN_COMMIT
 
     said = {

@@ -18,7 +18,9 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
 from scenegen.dataset.locate import locate
 from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import (
@@ -111,7 +113,7 @@ class Archived(Source):
 
     def describe(self) -> Json:
         """See `Source.describe`."""
-        scenes = manifest.to_json(self.dataset.manifest)["scenes"]
+        scenes = to_json(self.dataset.manifest)["scenes"]
         return scenes or {}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
@@ -271,7 +273,7 @@ def check_same(original: Manifest, name: str | Path) -> None:
     """Raise DatasetError where this scenegen draws other worlds of the same recipe."""
     here = {"generator": GENERATOR, "recipe.version": original.recipe.version}
     stored = {"generator": original.generator, "recipe.version": original.tables.version}
-    if lines := manifest.differences(stored, here, ("there", "here")):
+    if lines := differences(stored, here, ("there", "here")):
         made_by = original.software.get("scenegen", "of another version")
         raise DatasetError(
             f"{name}: scenegen {__version__} would not make the same dataset again "

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from scenegen.dataset import manifest
-from scenegen.dataset.manifest import pattern_of
+from scenegen.dataset.schema import NAME, pattern_of
 from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.files import read_bounded, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -65,13 +65,13 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
 
     place = folder_of(str(name))
     try:
-        content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)
+        content = read_bounded(place / NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
-            f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate "
+            f"{name}: not a dataset, it has no {NAME}; make one with `scenegen generate "
             f"--out {name}`"
         ) from None
-    folder = keep(str(place), manifest.NAME, content)
+    folder = keep(str(place), NAME, content)
     listed = manifest.load(folder, str(name)).files  # checked before they are used as names
     note(folder, str(place), listed)
     if whole:
@@ -115,12 +115,12 @@ def download(name: str, *, shown: bool) -> Path:
     try:
         with client_output(shown):
             _check_listing(repository, revision)
-            folder = fetch(revision, manifest.NAME)
+            folder = fetch(revision, NAME)
             listed = manifest.load(folder, name).files  # checked before they are used as names
             # the client holds every file against every name: of many, their patterns are enough
             names = listed if len(listed) < MANY else {*map(pattern_of, listed)}
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed
-            folder = fetch(folder.name, manifest.NAME, *names)
+            folder = fetch(folder.name, NAME, *names)
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
@@ -167,7 +167,7 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
         for file, wrong in zip(files, pool.map(differs, files), strict=True):
             if wrong:
                 raise DatasetError(
-                    f"{name}: {file} is not the file that {manifest.NAME} lists; delete "
+                    f"{name}: {file} is not the file that {NAME} lists; delete "
                     f"{folder.parents[1]} to download it anew, or ask its publisher"
                 )
 
@@ -215,12 +215,9 @@ def _check_listing(repository: str, revision: str | None) -> None:
     ):  # each version of the client has its own errors for a network that is not there
         return
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
-    if manifest.NAME not in sizes:
+    if NAME not in sizes:
+        raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {NAME}")
+    if sizes[NAME] > MOST_MANIFEST_BYTES:
         raise DatasetError(
-            f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}"
-        )
-    if sizes[manifest.NAME] > MOST_MANIFEST_BYTES:
-        raise DatasetError(
-            f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is "
-            f"no manifest of ours"
+            f"{SCHEME}{repository}: its {NAME} has {sizes[NAME]} bytes; that is no manifest of ours"
         )

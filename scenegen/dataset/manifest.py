@@ -1,7 +1,7 @@
-"""The manifest, `dataset.json`: its schema, how it is read and written, and what follows from it.
+"""The manifest, `dataset.json`: how it is read and written, and what follows from it.
 
-The schema is `Document`: what stands in the file, and nothing else. `Manifest` adds where the file
-lies, and the objects that its tables describe. A manifest may come from a stranger: every value is
+`scenegen.dataset.schema` says what stands in the file. `Manifest` adds where the file lies, and the
+objects that its tables describe. A manifest may come from a stranger: every value is
 checked before it is used, and no module is imported because a manifest names it.
 """
 
@@ -14,17 +14,26 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.noise import STAGES
 from lidarsim.noise import VERSION as NOISE_VERSION
-from lidarsim.parameters import MOST_SHOWN
 from scenegen import SPLITS, __version__
 from scenegen.dataset.layout import Layout, layout_of
+from scenegen.dataset.parameters import plain
+from scenegen.dataset.schema import (
+    FORMAT,
+    NAME,
+    VERSION,
+    Document,
+    NoiseEntry,
+    ShardEntry,
+    to_json,
+)
 from scenegen.dataset.sensor_file import check_sensor_entry, rays_digest, sensor_of
 from scenegen.errors import (
     BrokenError,
@@ -37,12 +46,8 @@ from scenegen.errors import (
 )
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import (
-    MOST_KIND_NAME,
     MOST_MANIFEST_BYTES,
     MOST_RAYS_IN_SAMPLE,
-    MOST_SAMPLES,
-    MOST_SAMPLES_IN_SHARD,
-    MOST_SEED,
     MOST_VIEWPOINTS,
     MOST_VOXELS,
 )
@@ -54,124 +59,6 @@ from scenegen.worlds.mapping import Known, Mapper, Sensing
 if TYPE_CHECKING:  # which import what draws worlds
     from lidarsim.noise.chain import Noise
     from scenegen.recipe import Recipe
-
-NAME = "dataset.json"
-FORMAT = "scenegen-dataset"
-VERSION = 2
-"""The version of the format. Whatever an earlier scenegen would misread raises it."""
-
-Count = Annotated[int, Meta(ge=0, le=MOST_SAMPLES)]
-Seed = Annotated[int, Meta(ge=0, le=MOST_SEED)]
-SplitName = Annotated[str, Meta(pattern=r"\A(?:train|val|test)\Z")]
-ShardSamples = Annotated[int, Meta(ge=1, le=MOST_SAMPLES_IN_SHARD)]
-Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
-SHARD_FILE = re.compile(
-    r"(?:((?:train|val|test)-[0-9]+)x+/(?=\1))?(train|val|test)-([0-9]{5,9})(\.h5|\.worlds\.zip)"
-)
-"""Where a file of a shard lies: train-00000.h5, or train-01xxx/train-01000.worlds.zip."""
-FileName = Annotated[str, Meta(pattern=rf"\A(?:{SHARD_FILE.pattern})\Z")]
-INDEX_DIGITS = 3
-"""So many last digits tell the shards of one folder apart: the first thousand lie in the dataset's
-own, every further thousand in one of theirs. The Hugging Face Hub takes 10,000 entries a folder."""
-
-
-class _Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the file: of known names alone."""
-
-
-class ShardEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shard, as the manifest lists it."""
-
-    file: FileName
-    worlds: FileName
-    split: SplitName
-    samples: ShardSamples
-    first_world: Count
-    sha256: Digest
-    worlds_sha256: Digest
-
-    @property
-    def sums(self) -> tuple[str, str]:
-        """The SHA-256 of its two files."""
-        return self.sha256, self.worlds_sha256
-
-    @property
-    def index(self) -> int:
-        """Its number within its split."""
-        match = SHARD_FILE.fullmatch(self.file)
-        assert match is not None
-        return int(match[3])
-
-
-class NoiseEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The noise of a dataset."""
-
-    stages: Annotated[str, Meta(pattern=r"\A[ -~]{1,4000}\Z")]
-    """Stages of noise, as `lidarsim.noise` writes them."""
-    bound_m: Annotated[float, Meta(ge=0)] | None
-    """How far a return may lie from its true place, metres; None where nothing bounds that."""
-    version: Annotated[int, Meta(ge=1, le=MOST_SEED)]
-    """`lidarsim.noise.VERSION` when it was made."""
-
-
-class SceneEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A world that was given as a file."""
-
-    file: Annotated[str, Meta(max_length=1000)]
-    sha256: Digest
-
-
-class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Every parameter of the recipe, by table, as in a recipe's TOML file."""
-
-    kind: Annotated[str, Meta(pattern=rf"\A(?=.{{1,{MOST_KIND_NAME}}}\Z)\w[\w.-]*(?::\w+)?\Z")]
-    version: Seed = 0
-    """The version of the kind's preset; 0 for worlds from files."""
-    difficulty: Annotated[str, Meta(pattern=r"\A[\w .-]{1,60}\Z")] = "medium"
-    world: Json | None = None
-    """None for worlds from files."""
-    flight: Json
-    accept: Json
-    lidar: Json
-    """A raster's parameters; of other sensors the digest of the table of their rays."""
-    grid: Json
-    noise: NoiseEntry | None = None
-    mapping: Json
-    known: Json | None = None
-    """How much must be known of maps of real places; None where no world is one."""
-    parts: dict[str, Json] = {}
-    """Parts of samples that were asked for, each with its settings: see `scenegen.parts`."""
-
-
-class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The file."""
-
-    format: Literal["scenegen-dataset"] = "scenegen-dataset"
-    version: Literal[2] = 2
-    generator: Annotated[int, Meta(ge=1, le=MOST_SEED)]
-    """`scenegen.GENERATOR` when it was made."""
-    seed: Seed
-    counts: dict[SplitName, Count]
-    """Samples that each split is to hold."""
-    tables: RecipeEntry = msgspec.field(name="recipe")
-    scenes: dict[SplitName, list[SceneEntry]] | None = None
-    """The worlds of each split that were given as files; None where the recipe drew them."""
-    like: Digest | None = None
-    """Digest of the dataset whose worlds and poses were scanned again; None where flights were
-    planned for this one."""
-    fields: tuple[str, ...]
-    """Names of the fields that shards store."""
-    shard_samples: ShardSamples
-    engine: Annotated[str, Meta(pattern=r"\A[A-Za-z_][\w.:]{0,199}\Z")]
-    """What cast the rays."""
-    software: dict[str, Annotated[str, Meta(max_length=200)]]
-    complete: bool = False
-    shards: tuple[ShardEntry, ...] = ()
-    rejected: dict[Literal["worlds", "viewpoints"], dict[str, Count]] = {}
-    """Draws that were rejected, by reason."""
-    digest: Digest | None = None
-    """SHA-256 over the digests of all samples; None as long as shards are missing."""
-
 
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters, which are known before anything is
@@ -448,33 +335,6 @@ def mapping_entry(mapping: Mapper) -> Json:
     return plain(asdict(Mapper() if mapping.plain else mapping))
 
 
-def plain(value: Any) -> Any:
-    """`value` as JSON would give it back."""
-    return json.loads(json.dumps(value))
-
-
-def stem_of(split: str, index: int) -> str:
-    """What the files of a split's shard are called, less their endings. It depends on nothing else,
-    so that a dataset grows and no file moves."""
-    stem = f"{split}-{index:05d}"
-    if index < 10**INDEX_DIGITS:
-        return stem
-    return f"{stem[:-INDEX_DIGITS]}{'x' * INDEX_DIGITS}/{stem}"
-
-
-def pattern_of(file: str) -> str:
-    """What fits a file's name and those of all others of its sort, in which numbers differ."""
-    return re.sub("-[0-9]+", "-*", file)
-
-
-def to_json(manifest: Document) -> Json:
-    """What stands in the file, as plain JSON values."""
-    return {
-        item.encode_name: msgspec.to_builtins(getattr(manifest, item.name))
-        for item in msgspec.structs.fields(Document)
-    }
-
-
 def encode(manifest: Document) -> bytes:
     """The content of the file."""
     return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
@@ -569,46 +429,6 @@ def read_content(folder: Path, name: str = "") -> bytes:
         raise DatasetError(
             f"{name or folder}/{NAME}: cannot be read ({printable(error)[:200]})"
         ) from None
-
-
-def differences(
-    stored: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
-) -> list[str]:
-    """Where two sets of parameters differ.
-
-    Args:
-        stored: The first set.
-        asked: The second set.
-        words: What the values of the first and of the second set are called.
-        prefix: Stands before every name.
-
-    Returns:
-        Lines such as "grid.voxel_m is 0.2 there, 0.1 asked for": nested names are joined by dots,
-        and the items of a list of tables named by their places.
-    """
-    lines = []
-    for name in [*stored, *(name for name in asked if name not in stored)]:
-        old, new = (_numbered(table.get(name, "absent")) for table in (stored, asked))
-        if isinstance(old, dict) and isinstance(new, dict):
-            lines += differences(old, new, words, f"{prefix}{name}.")
-        elif old != new:
-            lines.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_shown(old)} {words[0]}, "
-                f"{_shown(new)} {words[1]}"
-            )
-    return lines
-
-
-def _numbered(value: Any) -> Any:
-    """A list of tables as a table of them by their places; anything else as it is."""
-    tables = isinstance(value, list) and value and isinstance(value[0], dict)
-    return dict(enumerate(value)) if tables else value
-
-
-def _shown(value: Any) -> str:
-    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
-    text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def total_digest(digests: Sequence[bytes]) -> str:

@@ -14,10 +14,10 @@ import msgspec
 from msgspec import Meta, Struct
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest
+from scenegen.dataset.collection import Collection
 from scenegen.dataset.locate import locate
-from scenegen.dataset.manifest import Digest, SplitName
-from scenegen.dataset.read import AnyDataset, Collection, Dataset, Split
+from scenegen.dataset.read import AnyDataset, Dataset, Split
+from scenegen.dataset.schema import NAME, Digest, SplitName
 from scenegen.errors import DatasetError, printable
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SOURCES
@@ -81,7 +81,7 @@ def open_data(
     Raises:
         DatasetError: There is no such thing, it is damaged, or the datasets do not go together.
     """
-    if isinstance(names, Dataset | Collection):
+    if isinstance(names, AnyDataset):
         return names
     if not isinstance(names, str | os.PathLike):
         opened = [open_data(name, partial=partial, checked=checked, shown=shown) for name in names]
@@ -89,7 +89,7 @@ def open_data(
     folder = locate(names, shown=shown)
     if folder.is_file():
         return _selection(folder, partial=partial, checked=checked)
-    if (folder / manifest.NAME).exists() or is_remote(names):
+    if (folder / NAME).exists() or is_remote(names):
         return Dataset(folder, partial=partial, checked=checked)
     members = members_of(folder)
     if not members:
@@ -122,7 +122,7 @@ def members_of(folder: Path) -> list[Path]:
     in `folder`. Raises DatasetError."""
     path = folder / COLLECTION
     if not path.is_file():
-        return sorted(member.parent for member in folder.glob(f"*/{manifest.NAME}"))
+        return sorted(member.parent for member in folder.glob(f"*/{NAME}"))
     return [folder / name for name in _decoded(path, CollectionFile).datasets]
 
 

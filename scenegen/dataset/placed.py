@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from scenegen.dataset.manifest import ShardEntry
+from scenegen.dataset.schema import ShardEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
 from scenegen.errors import DatasetError
 from scenegen.files import read_bounded, sha256_of, write_whole

@@ -1,32 +1,33 @@
 """Read datasets: samples by split and number, with what was left out derived, and the worlds they
 come from.
 
-A `Dataset` is a folder. A `Collection` is several datasets, or some of their samples, read as one.
-Both give `Split`s.
+A `Dataset` is a folder; `scenegen.dataset.collection` has several, or some of their samples, read
+as one. Both give `Split`s.
 """
 
 import os
+from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lidarsim import fuse
+from lidarsim import GridSpec, Sensor, fuse
 from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
-from scenegen.dataset.manifest import Manifest, ShardEntry
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.schema import ShardEntry
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
-from scenegen.files import sha256_of
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Sensing
@@ -57,7 +58,65 @@ class Rows(NamedTuple):
         return f"{self.split} samples {self.numbers[0]} to {self.numbers[-1]}"
 
 
-class Dataset:
+class AnyDataset(ABC):
+    """What is read by split: a `Dataset`, or a `Collection` of several."""
+
+    name: str
+    """What errors and reports call it."""
+    grid: GridSpec
+    """The grid of its maps."""
+    lidar: Sensor
+    """The sensor; the first dataset's, where they differ."""
+    datasets: "tuple[Dataset, ...]"
+    """The datasets that it has samples of."""
+
+    def __init__(self) -> None:
+        self._splits: dict[str, Split] = {}
+
+    @property
+    @abstractmethod
+    def digest(self) -> str:
+        """What tells its samples from all others; "None" of an incomplete dataset."""
+
+    @property
+    def kind(self) -> str:
+        """The kinds of its worlds, with the difficulty where that is not medium."""
+        return "+".join(dict.fromkeys(dataset.manifest.graded for dataset in self.datasets))
+
+    @property
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of the `datasets` were sensed."""
+        return tuple(dataset.manifest.sensing for dataset in self.datasets)
+
+    @abstractmethod
+    def _pieces(self, split: str) -> "list[Piece]":
+        """The samples of a split."""
+
+    @abstractmethod
+    def world(self, split: str, number: int) -> dict[str, bytes]:
+        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to
+        by their names.
+
+        Raises DatasetError where there is no such world.
+        """
+
+    @abstractmethod
+    def compile(self, split: str, number: int) -> "AnyWorld":
+        """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
+        DatasetError where there is none, or it cannot be compiled."""
+
+    def split(self, name: str) -> "Split":
+        """The samples of a split: train, val or test. Raises DatasetError for another name."""
+        if name not in SPLITS:
+            raise DatasetError(
+                f"{self.name}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
+            )
+        if name not in self._splits:  # made once: it may have many shards
+            self._splits[name] = Split(self, name, self._pieces(name))
+        return self._splits[name]
+
+
+class Dataset(AnyDataset):
     """A dataset folder, opened for reading.
 
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
@@ -73,10 +132,11 @@ class Dataset:
     """
 
     def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
-        self.folder = Path(folder)
+        super().__init__()
+        self.folder, self.name = Path(folder), str(folder)
+        self.datasets = (self,)
         self.checked = checked
         self._sound: set[str] = set()
-        self._splits: dict[str, Split] = {}
         self.manifest = manifest.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
@@ -88,36 +148,12 @@ class Dataset:
             )
 
     @property
-    def datasets(self) -> "tuple[Dataset, ...]":
-        """This one: what a `Collection` has several of."""
-        return (self,)
-
-    @property
-    def settings(self) -> tuple[Sensing, ...]:
-        """How the samples of each of the `datasets` were sensed."""
-        return (self.manifest.sensing,)
-
-    @property
-    def name(self) -> str:
-        """What errors and reports call it."""
-        return str(self.folder)
-
-    @property
     def digest(self) -> str:
         """SHA-256 over the digests of all samples; "None" of an incomplete one."""
         return str(self.manifest.digest)
 
-    @property
-    def kind(self) -> str:
-        """The kind of its worlds, with the difficulty where that is not medium."""
-        return self.manifest.graded
-
-    def split(self, name: str) -> "Split":
-        """The samples of a split: train, val or test. Raises DatasetError for another name."""
-        if check_split(name, self.name) not in self._splits:  # made once: it may have many shards
-            pieces = [Piece(self, entry) for entry in self.manifest.shards if entry.split == name]
-            self._splits[name] = Split(self, name, pieces)
-        return self._splits[name]
+    def _pieces(self, split: str) -> "list[Piece]":
+        return [Piece(self, entry) for entry in self.manifest.shards if entry.split == split]
 
     def __fspath__(self) -> str:
         return str(self.folder)
@@ -134,11 +170,7 @@ class Dataset:
         return html_table(rows, self)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
-        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to
-        by their names.
-
-        Raises DatasetError where there is no such world.
-        """
+        """See `AnyDataset.world`."""
         shards, member = self._by_world.get(split, []), f"{number:06d}.xml"
         for _, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
             with (
@@ -152,8 +184,7 @@ class Dataset:
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
     def compile(self, split: str, number: int) -> "AnyWorld":
-        """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
-        DatasetError where there is none, or it cannot be compiled."""
+        """See `AnyDataset.compile`."""
         from scenegen.worlds.screen import screen
         from scenegen.worlds.world import archived_world
 
@@ -235,140 +266,6 @@ class Piece:
         places = manifest.first_place(self.entry) + rows
         world, viewpoint = manifest.numbering(split).name(places)
         return np.array([world + self.first_world, viewpoint])
-
-
-class Collection:
-    """Several datasets, or some of their samples, read as one.
-
-    Args:
-        datasets: The datasets, which share a grid.
-        name: What errors call it.
-        chosen: For some of the datasets, by their number, the samples of each split that are taken,
-            by their numbers in it, rising; all of the others.
-
-    Raises:
-        DatasetError: The datasets have different grids, two of them are the same, or a world that
-            was given as a file is in two splits.
-    """
-
-    def __init__(
-        self,
-        datasets: Sequence[Dataset],
-        name: str,
-        chosen: Mapping[int, Mapping[str, Sequence[int]]] | None = None,
-    ):
-        if not datasets:
-            raise DatasetError(f"{name}: holds no dataset")
-        self.datasets = tuple(datasets)
-        self.name = name
-        self.grid, self.lidar = datasets[0].grid, datasets[0].lidar
-        self.chosen = chosen or {}
-        self._splits: dict[str, Split] = {}
-        check_together(self.datasets)
-
-    @property
-    def settings(self) -> tuple[Sensing, ...]:
-        """How the samples of each of the `datasets` were sensed."""
-        return tuple(dataset.manifest.sensing for dataset in self.datasets)
-
-    @property
-    def digest(self) -> str:
-        """What tells its samples from all others."""
-        chosen = [
-            {split: list(numbers) for split, numbers in self.chosen[n].items()}
-            if n in self.chosen
-            else None
-            for n in range(len(self.datasets))
-        ]
-        parts = [dataset.digest for dataset in self.datasets]
-        return sha256_of(repr((parts, chosen)).encode())
-
-    @property
-    def kind(self) -> str:
-        """The kinds of its worlds."""
-        return "+".join(dict.fromkeys(dataset.kind for dataset in self.datasets))
-
-    def split(self, name: str) -> "Split":
-        """The samples of a split, dataset by dataset. Raises DatasetError for another name."""
-        if check_split(name, self.name) not in self._splits:
-            pieces, first_world = list[Piece](), 0
-            for n, dataset in enumerate(self.datasets):
-                split = dataset.split(name)
-                numbers = self.chosen[n].get(name, ()) if n in self.chosen else None
-                pieces += split.taken(numbers, first_world)
-                counts = dataset.manifest.counts[name]
-                first_world += dataset.manifest.numbering(name).count(counts)
-            self._splits[name] = Split(self, name, pieces)
-        return self._splits[name]
-
-    def world(self, split: str, number: int) -> dict[str, bytes]:
-        """See `Dataset.world`."""
-        dataset, own = self._world(split, number)
-        return dataset.world(split, own)
-
-    def compile(self, split: str, number: int) -> "AnyWorld":
-        """See `Dataset.compile`."""
-        dataset, own = self._world(split, number)
-        return dataset.compile(split, own)
-
-    def _world(self, split: str, number: int) -> tuple[Dataset, int]:
-        """The dataset of a world, and its number there."""
-        for dataset in self.datasets:
-            worlds = dataset.manifest.numbering(split).count(dataset.manifest.counts[split])
-            if number < worlds:
-                return dataset, number
-            number -= worlds
-        raise DatasetError(f"{self.name}: has no such world in its {split} split")
-
-    def __repr__(self) -> str:
-        return f"<Collection: {self.name}, {len(self.datasets)} datasets>"
-
-
-AnyDataset: TypeAlias = Dataset | Collection
-"""What can be read by split."""
-
-
-def check_split(name: str, where: str) -> str:
-    """`name`, if it is that of a split. Raises DatasetError, which begins with `where`."""
-    if name not in SPLITS:
-        raise DatasetError(
-            f"{where}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
-        )
-    return name
-
-
-def check_together(datasets: Sequence[Dataset]) -> None:
-    """Raise DatasetError unless `datasets` can be read as one: of one grid, no two with the same
-    samples, and no world in two splits, as far as manifests say; `verify` looks at the worlds
-    themselves."""
-    first = datasets[0]
-    by_parameters = dict[str, Dataset]()
-    split_of_world = dict[str, tuple[str, Dataset]]()
-    for dataset in datasets:
-        if dataset.grid != first.grid:
-            raise DatasetError(
-                f"{dataset.name}: its grid is {dataset.grid}, that of {first.name} is "
-                f"{first.grid}; read datasets together that share it"
-            )
-        # the counts and the size of shards decide no sample
-        drawn_by = {
-            name: value
-            for name, value in dataset.manifest.parameters.items()
-            if name not in ("counts", "shard_samples", "software", "fields")
-        }
-        other = by_parameters.setdefault(repr(drawn_by), dataset)
-        if other is not dataset:
-            raise DatasetError(
-                f"{dataset.name}: holds the same samples as {other.name}; leave one of the two out"
-            )
-        for split, scenes in (dataset.manifest.scenes or {}).items():
-            for scene in scenes:
-                before, owner = split_of_world.setdefault(scene.sha256, (split, dataset))
-                if before != split:
-                    raise DatasetError(
-                        f"{dataset.name}: its {split} world {short(scene.file)} is a {before} "
-                        f"world of {owner.name}; no world may be in two splits"
-                    )
 
 
 class Split(Samples):

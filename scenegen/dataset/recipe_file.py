@@ -4,7 +4,7 @@ import json
 import re
 from typing import Any
 
-from scenegen.dataset.manifest import RecipeEntry
+from scenegen.dataset.schema import RecipeEntry
 from scenegen.dataset.sensor_file import RAYS
 from scenegen.files import Json
 

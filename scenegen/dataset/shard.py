@@ -20,7 +20,7 @@ from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
-from scenegen.dataset.manifest import ShardEntry, stem_of
+from scenegen.dataset.schema import ShardEntry, stem_of
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
 from scenegen.files import sha256_in, sha256_of, write_whole

@@ -13,8 +13,10 @@ import msgspec
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed
-from scenegen.dataset.manifest import Manifest, ShardEntry, differences, total_digest
+from scenegen.dataset.manifest import Manifest, total_digest
+from scenegen.dataset.parameters import differences
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
+from scenegen.dataset.schema import NAME, SHARD_FILE, ShardEntry
 from scenegen.dataset.sensor_file import RAYS, rays_digest, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError
@@ -116,12 +118,12 @@ class State:
         names = sorted(name for name in self._names if not name.endswith(".tmp"))
         if not names:
             return None
-        if manifest.NAME not in names:
+        if NAME not in names:
             planned_here = (shard for shard in self.plan.shards if shard.file in names)
             if any(read_report((shard, None)) for shard in planned_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
-                f"{folder}: holds files ({names[0]}, …), but no {manifest.NAME} and no sound "
+                f"{folder}: holds files ({names[0]}, …), but no {NAME} and no sound "
                 "shard of this dataset; choose another folder with --out"
             )
         self._content = manifest.read_content(folder)
@@ -131,7 +133,7 @@ class State:
             if self._force:
                 return None
             raise DatasetError(
-                f"{folder}/{manifest.NAME}: {error}; choose another folder with --out, or replace "
+                f"{folder}/{NAME}: {error}; choose another folder with --out, or replace "
                 f"the dataset with --force"
             ) from None
         differing = differences(former.parameters, self.plan.manifest.parameters)
@@ -140,7 +142,7 @@ class State:
         )
         if grows:
             return {entry.file: entry for entry in former.shards}
-        if not self._force and any(map(manifest.SHARD_FILE.fullmatch, names)):
+        if not self._force and any(map(SHARD_FILE.fullmatch, names)):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
@@ -200,7 +202,7 @@ class State:
             for name in former:  # before the manifest that says whose they are
                 (folder / name).unlink(missing_ok=True)
             remove_notes(folder)
-        if not self.begun or manifest.NAME not in names:
+        if not self.begun or NAME not in names:
             self.note()
             self._listed = self._listed or {}
         with disk_told(folder):
@@ -274,9 +276,9 @@ def _former_files(folder: Path, names: Set[str]) -> list[str]:
     of rays, the shards that it lists, and those not listed yet, which carry its fingerprint; every
     shard where the manifest cannot be read. In an order that can be gone on with: worlds come
     before their samples, which hold their digest."""
-    if manifest.NAME not in names:
+    if NAME not in names:
         return []
-    shards = {name for name in names if manifest.SHARD_FILE.fullmatch(name)}
+    shards = {name for name in names if SHARD_FILE.fullmatch(name)}
     try:
         former = manifest.parse(manifest.read_content(folder), folder)
     except DatasetError:

@@ -14,8 +14,9 @@ from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.clouds import read_cloud
-from scenegen.dataset.manifest import NAME, ShardEntry, load
+from scenegen.dataset.manifest import load
 from scenegen.dataset.read import AnyDataset, Dataset, Split
+from scenegen.dataset.schema import NAME, ShardEntry
 from scenegen.dataset.selection import (
     MEASURES,
     OF_WORLD,

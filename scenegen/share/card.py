@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import MUJOCO
 from scenegen.dataset.layout import DIGEST
-from scenegen.dataset.manifest import NAME, VERSION, Manifest, pattern_of
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.schema import NAME, VERSION, pattern_of
 from scenegen.display.inspect import TITLES
 from scenegen.files import Json
 from scenegen.share import LICENCES

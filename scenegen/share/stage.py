@@ -20,6 +20,7 @@ from scenegen.dataset.like import check_same
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import NAME, VERSION
 from scenegen.dataset.selection import kept_measures, measures_file
 from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
@@ -162,15 +163,15 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     """
     dataset = examine(request)
     found, digest = dataset.manifest, str(dataset.manifest.digest)
-    content = (request.dataset / manifest.NAME).read_bytes()
-    tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
+    content = (request.dataset / NAME).read_bytes()
+    tag = request.tag or f"v{VERSION}-{digest[:8]}"
     with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
         take(request.dataset, draft, found.files)
-        write_whole(draft / manifest.NAME, content)
+        write_whole(draft / NAME, content)
         if kept_measures(dataset):
             figures = measures_file(dataset)
             write_whole(draft / figures.name, figures.read_bytes())
-        listed = {manifest.NAME: file_sha256(draft / manifest.NAME)}
+        listed = {NAME: file_sha256(draft / NAME)}
         sums = found.files | listed
         told = inspect(Dataset(draft))
         given = facts(
@@ -267,7 +268,7 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
                 shutil.copyfile(there, here)
         if not there.is_file() or file_sha256(here) != names[name]:
             raise PublishError(
-                f"{source / name}: is not the file that {manifest.NAME} lists; generate it again"
+                f"{source / name}: is not the file that {NAME} lists; generate it again"
             )
 
     with ThreadPoolExecutor() as pool:
@@ -290,6 +291,6 @@ def former_date(out: Path, content: bytes) -> str | None:
     A run that goes on after a stop takes this date, so that it sends the same files as the stopped
     one."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        if (out / manifest.NAME).read_bytes() == content:
+        if (out / NAME).read_bytes() == content:
             return str(json.loads((out / "croissant.json").read_bytes())["datePublished"])
     return None

@@ -14,11 +14,11 @@ import numpy as np
 
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset.build import recipe_entry
-from scenegen.dataset.generation import fraction
 from scenegen.dataset.shard import Units, find_engine
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
 from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_UNITS_IN_ROUND
+from scenegen.mixture import fraction
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes, world_files

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines import DEFAULT
-from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.manifest import schema_of
 from scenegen.errors import DatasetError, short, whole_number
 from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
+from scenegen.mixture import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.sample import Sample, Samples, Schema, rng_of
 from scenegen.source import DrawnWorlds
 from scenegen.streams.ahead import Ahead, Slot, Unit, pack, record_type, unpack

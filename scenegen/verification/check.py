@@ -19,7 +19,8 @@ from lidarsim.registry import Registry
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.manifest import Manifest, ShardEntry
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.schema import ShardEntry
 from scenegen.errors import SceneError, raised_as
 from scenegen.sample import rng_of
 from scenegen.verification.rays import MapAuditor

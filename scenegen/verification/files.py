@@ -10,7 +10,8 @@ import numpy as np
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
-from scenegen.dataset.manifest import Manifest, ShardEntry, stem_of
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.schema import NAME, ShardEntry, stem_of
 from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.files import names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
@@ -29,7 +30,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
-        with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
+        with raised_as(BrokenError, f"{NAME}: ", of=BrokenError):
             parsed = manifest.parse(content, folder, kind)
             if kind is not None:
                 if kind != parsed.kind:
@@ -49,7 +50,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
 def _check_shards(contract: Manifest, page: Page) -> None:
     """Whether the shards listed are those that the counts ask for, in order, and no other lies in
     the folder."""
-    where = manifest.NAME
+    where = NAME
     page.expect(
         contract.complete, f"{where}: complete is false: give the command that made it again"
     )
@@ -89,7 +90,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
 def _check_size(contract: Manifest, entry: ShardEntry, is_last: bool, page: Page) -> None:
     """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
     last of its split; and all shards but that one alike."""
-    where, each = manifest.NAME, contract.recipe.flight.viewpoints
+    where, each = NAME, contract.recipe.flight.viewpoints
     page.expect(
         is_last or entry.samples % each == 0,
         f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
@@ -120,8 +121,7 @@ def _rejections_add_up(contract: Manifest, page: Page) -> None:
             total.update(rejected[what])
         page.expect(
             dict(total) == contract.rejected[what],
-            f"{manifest.NAME}: rejected.{what} = {contract.rejected[what]}, the shards count "
-            f"{dict(total)}",
+            f"{NAME}: rejected.{what} = {contract.rejected[what]}, the shards count {dict(total)}",
         )
 
 

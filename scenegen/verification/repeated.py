@@ -13,7 +13,8 @@ from lidarsim.engines import ENGINES
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
 from scenegen.dataset.like import scan_again
-from scenegen.dataset.manifest import Manifest, differences
+from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.parameters import differences
 from scenegen.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
 from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
-from scenegen.dataset import manifest
 from scenegen.dataset.manifest import Manifest
+from scenegen.dataset.schema import NAME
 from scenegen.errors import BrokenError, raised_as
 from scenegen.files import sha256_of
 from scenegen.parts import PARTS
@@ -59,7 +59,7 @@ def _whole_digest(contract: Manifest, page: Page) -> None:
     digest = sha256_of(b"".join(page.kept))
     page.expect(
         contract.digest in (None, digest),
-        f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {digest[:16]}…",
+        f"{NAME}: digest {str(contract.digest)[:16]}…, the samples' is {digest[:16]}…",
     )
 
 

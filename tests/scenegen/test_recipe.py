@@ -14,6 +14,7 @@ from scenegen.dataset.trust import parse
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.schema import NAME
 from scenegen.errors import RecipeError
 from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
 from scenegen.recipe import make_recipe, preset, read_recipe
@@ -89,7 +90,7 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
-            (tmp_path / manifest.NAME).write_text(json.dumps(found))
+            (tmp_path / NAME).write_text(json.dumps(found))
             contract = read_contract(tmp_path, Ledger())
             assert contract.recipe == recipe
         outcome["made"] += 1

@@ -26,6 +26,7 @@ from scenegen.dataset.hdf5 import with_index
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.placed import read_notes
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import ShardSpec, read_report
 from scenegen.draw import compile_truth
 from scenegen.errors import DatasetError, GenerationError
@@ -150,7 +151,7 @@ def test_growth_that_is_killed_goes_on(folder, larger, monkeypatch):
 
 def test_a_lost_manifest_is_made_from_the_shards(folder):
     whole = content(folder)
-    (folder / manifest.NAME).unlink()
+    (folder / NAME).unlink()
     with pytest.raises(DatasetError, match=r"holds files .* no sound shard"):
         make(folder, counts=COUNTS | {"train": 12})
     assert make(folder).samples_written == 0

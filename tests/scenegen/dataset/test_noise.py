@@ -19,6 +19,7 @@ from scenegen.cli.options import mapping_given
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import NAME
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
 from scenegen.recipe import preset, read_recipe
 from scenegen.share.stage import Request, examine, stage
@@ -172,7 +173,7 @@ labels        → {"by": "name", "classes": ["box"]} → different names, "nothi
 
 @pytest.mark.parametrize(("path", "value", "told"), rows(WRONG))
 def test_a_strangers_word_is_not_trusted(noisy, tmp_path, path, value, told):
-    shutil.copy(noisy / manifest.NAME, tmp_path)
+    shutil.copy(noisy / NAME, tmp_path)
     with pytest.raises(DatasetError, match=told):
         Dataset(forge.edit_at(tmp_path, path, value))
 

@@ -17,6 +17,7 @@ import pytest
 import scenegen
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import NAME
 from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS
@@ -58,7 +59,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset):
     for name in ("grid", "lidar", "recipe", "counts", "rejected"):
         paths += [f"{name}.{key}" for key in good[name]]
     for path, value in itertools.product(paths, BAD):
-        (dataset / manifest.NAME).write_text(json.dumps(good))
+        (dataset / NAME).write_text(json.dumps(good))
         edit_at(dataset, path, value)
         try:
             split = scenegen.load(dataset)
@@ -108,10 +109,10 @@ def test_a_version_that_nobody_wrote_is_not_called_newer(dataset):
 
 def test_what_is_no_manifest_is_refused(dataset):
     for content in (b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}'):
-        (dataset / manifest.NAME).write_bytes(content)
-        assert manifest.NAME in refused(lambda: Dataset(dataset))
-    (dataset / manifest.NAME).unlink()
-    (dataset / manifest.NAME).symlink_to(dataset / manifest.NAME)
+        (dataset / NAME).write_bytes(content)
+        assert NAME in refused(lambda: Dataset(dataset))
+    (dataset / NAME).unlink()
+    (dataset / NAME).symlink_to(dataset / NAME)
     refused(lambda: Dataset(dataset))
     refused(lambda: inspect(dataset))
 

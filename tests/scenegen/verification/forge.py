@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from scenegen.dataset import manifest
+from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import zip_reproducibly
 from tests.conftest import dataset_in, small_recipe
 
@@ -84,7 +85,7 @@ def sign(folder, **changes):
 
 def edit_manifest(folder, **changes):
     """Change the manifest alone; the folder."""
-    path = folder / manifest.NAME
+    path = folder / NAME
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
     return folder
 
@@ -99,7 +100,7 @@ def edit_at(folder, path, value):
         place[last] = json.loads(value)
     else:
         del place[last]
-    (folder / manifest.NAME).write_text(json.dumps(found))
+    (folder / NAME).write_text(json.dumps(found))
     return folder
 
 

@@ -12,7 +12,7 @@ from scenegen.dataset.rescan import scan_again
 from lidarsim import MujocoEngine, Pose
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.manifest import NAME
+from scenegen.dataset.schema import NAME
 from scenegen.draw import UnitKey
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS

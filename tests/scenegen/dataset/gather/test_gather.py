@@ -15,6 +15,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.schema import NAME
 from scenegen.errors import DatasetError, PublishError
 from scenegen.share.stage import Request, examine
 from scenegen.source import read_scenes
@@ -309,7 +310,7 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
     first, second, tmp_path, change, signed, said
 ):
     folder = forge.copy(first, tmp_path / "bad")
-    listed = (folder / manifest.NAME).read_bytes()
+    listed = (folder / NAME).read_bytes()
     if change is None:
         more = {"000009.xml": b"<mujoco/>"}
         forge.rezip(folder / "train-00000.worlds.zip", lambda members: members.update(more))
@@ -318,7 +319,7 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
         change(arrays)
         forge.store(folder, "train-00000.h5", arrays, attributes, digests=False)
     if not signed:
-        (folder / manifest.NAME).write_bytes(listed)
+        (folder / NAME).write_bytes(listed)
     bad = Dataset(folder)
     plans = [
         plan_rescan(bad, tmp_path / "rescan"),
@@ -348,7 +349,7 @@ def test_datasets_that_do_not_go_together_are_refused(first, second, tmp_path):
     with pytest.raises(DatasetError, match="no sample is as asked for"):
         plan_take(Dataset(first), tmp_path / "t", Choice(where=(Condition("occupied", ">", 2.0),)))
     taken(tmp_path / "t", first, where=(Condition("viewpoint", "<", 1.0),))
-    (tmp_path / "t" / manifest.NAME).unlink()
+    (tmp_path / "t" / NAME).unlink()
     with pytest.raises(DatasetError, match="no dataset"):  # shards do not tell which samples
         taken(tmp_path / "t", first, where=(Condition("viewpoint", "=", 1.0),))
 
