@@ -1,6 +1,5 @@
 """A small dataset of a few shards, a check that passes it, and a stand-in for the Hub."""
 
-import functools
 import shutil
 import sys
 import time
@@ -10,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenegen.share.regenerate import closure
 
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
@@ -53,8 +51,6 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
-needed = functools.cache(closure)
-"""What a package needs is looked up once a process."""
 Check = namedtuple("Check", "name ok detail skipped", defaults=[False])
 
 
@@ -95,7 +91,6 @@ def verified(monkeypatch):
 def undrawn(monkeypatch):
     """No picture is drawn for a published folder: that of test_stage.py has them."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr("scenegen.share.regenerate.closure", needed)
     monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
     monkeypatch.setattr("scenegen.display.pictures.draw_sample", lambda look: None)
     monkeypatch.setattr("scenegen.display.panels.to_bytes", lambda figure, ending: b"\x89PNG")
