@@ -1,50 +1,11 @@
 """Semantics: which geom every return and every voxel is of, and of which class that geom is."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 import numpy as np
 
-from scenegen.limits import MOST_CLASSES
-
-By: TypeAlias = Literal["class", "name", "material", "group"]
-"""What decides the class of a geom."""
-NOTHING = "nothing"
-"""Class 0: of a ray without a return, and of a voxel that is not occupied."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Labels:
-    """What decides the class of a geom, and what classes there are.
-
-    By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
-    a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
-    material in the same way. A geom without such a name is of the class of its shape. By `group`,
-    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same
-    for all kinds of worlds: the material's, and "other" for a geom whose material has another
-    name.
-    """
-
-    by: By
-    classes: tuple[str, ...]
-    """Names of classes; a class is its place in here, and the first is `NOTHING`."""
-
-    def __post_init__(self) -> None:
-        if self.by not in get_args(By):
-            raise ValueError(f"by = {self.by!r}: expected one of {', '.join(get_args(By))}")
-        object.__setattr__(self, "classes", tuple(self.classes))
-        names = self.classes
-        valid = all(isinstance(name, str) and name.isprintable() for name in names)
-        if (
-            not valid
-            or not 0 < len(names) <= MOST_CLASSES
-            or len(set(names)) < len(names)
-            or names[0] != NOTHING
-        ):
-            raise ValueError(
-                f"classes: expected up to {MOST_CLASSES} different names, {NOTHING!r} first"
-            )
+from scenegen.worlds.classes import By, Labels
 
 
 class LabelsPart:

@@ -16,11 +16,10 @@ from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids, local
 from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
-from scenegen.parts.labels import NOTHING, By, Labels
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
-from scenegen.worlds.classes import CLASSES, OTHER
+from scenegen.worlds.classes import CLASSES, NOTHING, OTHER, By, Labels
 from scenegen.worlds.drawing import SHAPES
 from scenegen.worlds.world import World
 
