@@ -29,78 +29,60 @@ STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
 at least the first number. A layer is floor where both maps fill at least the second number of it.
 Two floors that are nearly empty may by chance be observed alike, too; what stands on them then
 tells them apart."""
-MOST_PAIRS = 8_000_000
-"""The search ends once so many pairs of maps have blocks that may be those of twins."""
 MOST_COMPARED = 5_000
 """This many pairs are compared voxel by voxel at most."""
-MOST_TWINS = 200_000
-"""This many samples are searched at most, evenly spread: each takes 2.4 KB of memory until all are
-seen."""
-_BITS = 13
+MOST_TWINS = 20_000
+"""This many samples are searched at most, evenly spread: each takes 2.5 KB of memory until all are
+seen, and is held against thousands of others."""
+BLOCKS = (8, 8, 5)
+"""Blocks of a map along x, y and z."""
 
 
-def signature(occupancy: Mask) -> NDArray[np.uint32]:
-    """Count the occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
-    sums, blocks = occupancy, np.zeros((8, 8, 5), np.uint32)
+def signature(mask: Mask) -> NDArray[np.int32]:
+    """Count the true voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
+    sums, blocks = mask, np.zeros(BLOCKS, np.int32)
     for axis in (2, 1, 0):  # along the rows in memory first
-        count, parts = occupancy.shape[axis], blocks.shape[axis]
+        count, parts = mask.shape[axis], BLOCKS[axis]
         begins = range(0, count, -(-count // parts))
-        sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.uint32)
+        sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.int32)
     blocks[tuple(map(slice, sums.shape))] = sums
     return blocks.reshape(-1)
 
 
-def fold(observed: Mask) -> NDArray[np.uint64]:
-    """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may
-    share a bit."""
-    number = np.flatnonzero(observed).astype(np.uint32)
-    bits = np.zeros(1 << _BITS, bool)
-    bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
-    return np.packbits(bits).view(np.uint64)
-
-
 def candidates(
-    signatures: NDArray[np.uint32],
-    folds: NDArray[np.uint64],
-    observed: Ints,
-    splits: Ints,
+    occupied: NDArray[np.int32], observed: NDArray[np.int32], splits: Ints
 ) -> tuple[Ints, bool]:
-    """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all:
-    then none is missed.
+    """Find the pairs of samples of two splits that may be near-twins.
 
-    `signatures` (n, 320) and `folds` (n, 128) are of every sample, `observed` (n,) counts its
-    observed voxels, `splits` (n,) numbers its split. Voxels in which two maps differ are at least
-    as many as the sum of the differences of their blocks, so most pairs are ruled out by a few
-    numbers; sorted by how much is occupied, only neighbours are looked at. Of what is left, the
-    bits that two samples' observed voxels share tell almost all apart.
+    Two maps have at most as many voxels in common as the smaller count of each block allows, so
+    that their blocks bound their intersection over union from above. Sorted by how much is
+    occupied, only neighbours are looked at.
+
+    Args:
+        occupied: The `signature` of each sample's occupied voxels, (n, 320).
+        observed: The same of its observed voxels, (n, 320).
+        splits: The number of its split, (n,).
+
+    Returns:
+        The pairs (P, 2), and whether these are all: then none is missed.
     """
-    counts, share = signatures.sum(axis=1, dtype=np.int64), 1.0 - OCCUPIED_IOU
-    fine = signatures.astype(np.int32)
-    coarse = fine.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4)).reshape(-1, 20)
-    # voxels whose bit another one has, too
-    lost = observed - np.bitwise_count(folds).sum(axis=1, dtype=np.int64)
+    counts = occupied.sum(axis=1, dtype=np.int64)
     order = np.argsort(counts, kind="stable")
-    ends = np.searchsorted((1.0 - share) * counts[order], counts[order], side="right")
-    found, tried = list[tuple[int, int]](), 0
+    ends = np.searchsorted(OCCUPIED_IOU * counts[order], counts[order], side="right")
+    pairs = list[tuple[int, int]]()
     for place, one in enumerate(order.tolist()):
         if not counts[one]:
             continue  # an empty map has no twin
         others = order[place + 1 : ends[place]]
         others = others[splits[others] != splits[one]]
-        for blocks in (coarse, fine):
-            # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 -
-            # share means this
-            most = np.floor(share * (counts[one] + counts[others]) / (2.0 - share) + 1e-9)
-            others = others[np.abs(blocks[others] - blocks[one]).sum(axis=1) <= most]
-        tried += len(others)
-        shared = np.bitwise_count(folds[others] & folds[one]).sum(axis=1, dtype=np.int64)
-        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
-        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[one] + observed[others])
-        others = others[shared + np.minimum(lost[one], lost[others]) >= least - 1e-6]
-        found += [(one, other) for other in others.tolist()]
-        if tried > MOST_PAIRS or len(found) > MOST_COMPARED:
-            return np.array(found[:MOST_COMPARED]), False
-    return np.array(found, np.int64).reshape(-1, 2), True
+        for blocks, least in ((occupied, OCCUPIED_IOU), (observed, OBSERVED_IOU)):
+            common = np.minimum(blocks[others], blocks[one]).sum(axis=1)
+            union = np.maximum(blocks[others], blocks[one]).sum(axis=1)
+            others = others[common >= (least - 1e-9) * union]
+        pairs += [(one, other) for other in others.tolist()]
+        if len(pairs) > MOST_COMPARED:
+            return np.array(pairs[:MOST_COMPARED]), False
+    return np.array(pairs, np.int64).reshape(-1, 2), True
 
 
 def overlap(a: Mask, b: Mask) -> float:
@@ -170,17 +152,17 @@ def _keep_signature(sample: Sample, page: Page) -> None:
     if (sample.shard.first_place + sample.row) % sample.shard.task.twins_of:
         return
     occupancy, observed = sample.fields["occupancy"], sample.fields["observed"]
-    signs = signature(occupancy), fold(observed), int(np.count_nonzero(observed))
-    page.kept.append(((sample.shard.task.number, sample.row), *signs))
+    place = sample.shard.task.number, sample.row
+    page.kept.append((place, signature(occupancy), signature(observed)))
 
 
 def _compare(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
-    places, signatures, folds, returns = zip(*page.kept, strict=True)
+    places, occupied, observed = zip(*page.kept, strict=True)
     page.count(samples=len(places))
     splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
-    pairs, complete = candidates(np.array(signatures), np.array(folds), np.array(returns), splits)
+    pairs, complete = candidates(np.array(occupied), np.array(observed), splits)
     page.count(**{"pairs alike enough to compare": len(pairs)})
     faults = 0
 
