@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lidarsim.engines import MUJOCO
 from scenegen.dataset.layout import DIGEST
@@ -18,9 +18,6 @@ from scenegen.dataset.schema import NAME, VERSION, pattern_of
 from scenegen.display.inspect import TITLES
 from scenegen.files import Json
 from scenegen.share import LICENCES
-
-if TYPE_CHECKING:
-    from scenegen.share.stage import Request
 
 MOST_NAMED = 50
 """Classes that a card names."""
@@ -52,7 +49,8 @@ FORMATS = {
 def facts(
     made: Manifest,
     summary: Json,
-    request: "Request",
+    repository: str,
+    licence: str,
     *,
     tag: str,
     date: str,
@@ -64,14 +62,15 @@ def facts(
     Args:
         made: The dataset.
         summary: What `scenegen.display.inspect.inspect` says of it.
-        request: The repository and the licence that it is published under.
+        repository: The repository on the Hub, user/name.
+        licence: The SPDX name of the licence that it is published under.
         tag: The revision that names this content.
         date: The day of publication, YYYY-MM-DD.
         checks: Name and detail of every check that the dataset passed.
         pictures: Markdown that shows its pictures.
     """
-    owner, _, name = request.repository.partition("/")
-    licence, licence_url = LICENCES[request.licence]
+    owner, _, name = repository.partition("/")
+    licence_name, licence_url = LICENCES[licence]
     splits = summary["splits"]
     maps = "" if made.mapping.plain else f", each {made.mapping}"
     worlds = KINDS.get(made.kind, f"worlds of kind {made.kind}")
@@ -80,14 +79,14 @@ def facts(
         **_notes(made),
         "name": name,
         "owner": owner,
-        "repository": request.repository,
-        "url": f"https://huggingface.co/datasets/{request.repository}",
+        "repository": repository,
+        "url": f"https://huggingface.co/datasets/{repository}",
         "tag": tag,
         "date": date,
         "year": date[:4],
         # the Hub's names for these have no version
-        "hub_licence": re.sub(r"(od.+|pddl)-1\.0", r"\1", request.licence.lower()),
-        "licence": licence,
+        "hub_licence": re.sub(r"(od.+|pddl)-1\.0", r"\1", licence.lower()),
+        "licence": licence_name,
         "licence_url": licence_url,
         "paper": PAPER,
         "sentence": f"{summary['samples']} pairs of a simulated LiDAR scan and the exact truth "
@@ -100,7 +99,7 @@ def facts(
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": made.grid.voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
-        "command": command(made, request.repository, tag),
+        "command": command(made, repository, tag),
         "samples": summary["samples"],
         "split": next(iter(splits)),
         "data_files": "\n".join(

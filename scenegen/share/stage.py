@@ -177,7 +177,8 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
         given = facts(
             found,
             told,
-            request,
+            request.repository,
+            request.licence,
             tag=tag,
             date=former_date(request.out, content)
             or datetime.datetime.now(datetime.UTC).date().isoformat(),
