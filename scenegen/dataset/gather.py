@@ -77,10 +77,9 @@ def _look(task: tuple[int, Path, Entry, Layout]) -> tuple[int, tuple[np.ndarray,
     number, there, entry, layout = task
     path, archive, worlds = there / entry.file, entry.worlds, b""
     with advised(there):
-        with open_file(path) as file:
-            shard = open_shard(file, path, entry.samples, layout)
-            own = shard.column(DIGEST)
-            poses = np.hstack([shard.column("position"), shard.column("quaternion")])
+        shard = open_shard(path, entry.samples, layout)
+        own = shard.column(DIGEST)
+        poses = np.hstack([shard.column("position"), shard.column("quaternion")])
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 worlds += world_digest(*members.world(name))[:KEPT]
@@ -96,8 +95,8 @@ def _hash_content(
     besides their names, as whole numbers."""
     number, there, entry, layout, rows = task
     path, digests = there / entry.file, b""
-    with advised(there), open_file(path) as file:
-        shard = open_shard(file, path, entry.samples, layout)
+    with advised(there):
+        shard = open_shard(path, entry.samples, layout)
         for row in rows.tolist():
             content = b"".join(shard.value(name, row).tobytes() for name in CONTENT)
             digests += hashlib.sha256(content).digest()[:KEPT]
@@ -145,7 +144,7 @@ class Part(ShardTask):
         ):
             check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
             check_sum(file, self.entry.file, self.entry.sha256)
-            shard = open_shard(file, path, self.entry.samples, self.layout)
+            shard = open_shard(path, self.entry.samples, self.layout)
             shard.check_origin(
                 split=self.split,
                 worlds_sha256=self.entry.worlds_sha256,
