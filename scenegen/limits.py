@@ -39,10 +39,6 @@ MOST_SOURCES = 1000
 MOST_SAMPLES_IN_SHARD = 10**5
 """The most samples of a shard, which is made in memory: with default maps, these take some eight
 gigabytes."""
-MOST_OBJECTS = 64
-"""The most HDF5 objects in a shard, and the most attributes of each."""
-MOST_TEXT_BYTES = 1 << 20
-"""The most characters of a text in an HDF5 attribute."""
 MOST_SHARDS = 200_000
 """The most shards of a dataset: every command lists all in memory, with some 5 kilobytes each."""
 MOST_MANIFEST_BYTES = 128 << 20

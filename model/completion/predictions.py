@@ -1,7 +1,7 @@
 """Completions of a whole split of a dataset, in a folder of files."""
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -11,18 +11,18 @@ import h5py
 import numpy as np
 
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, empty_split, printable, raised_as
-from scenegen.files import Json, claim, make_parent, whole
+from scenegen.errors import DatasetError, GuardError, empty_split, printable, raised_as
+from scenegen.files import Json, claim, make_parent, open_bounded, whole
+from scenegen.limits import GUARD_BYTES, GUARD_S
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.protocol import PARTS, STORED
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
 from scenegen.run import Executor, chunked
-from scenegen.run.workers import ALONE
+from scenegen.run.workers import ALONE, guarded
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
@@ -136,6 +136,28 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
     """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
     with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
         yield file
+
+
+def read_guarded(
+    read: Callable[[Path], Any], path: Path, most_bytes: int, seconds: float = GUARD_S
+) -> Any:
+    """What `read` makes of a stranger's HDF5 file, `guarded`.
+
+    Args:
+        read: Opens the file by its path; the result must be picklable.
+        path: A regular file; a pipe is refused.
+        most_bytes: The largest file that is read.
+        seconds: How long `read` may take.
+
+    Raises:
+        DatasetError: The file is missing or too large, or HDF5 crashes, hangs or swells on it.
+        ScenegenError: Whatever `read` raises.
+    """
+    open_bounded(path, most_bytes).close()
+    try:
+        return guarded(read, path, seconds=seconds, memory_bytes=GUARD_BYTES)
+    except GuardError as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
 
 
 def prediction_facts(path: Path) -> Json:

@@ -21,7 +21,6 @@ from lidarsim.scan import are_returns
 from scenegen.cli.show import Progress, note, say
 from scenegen.cloud_arrays import read_npz
 from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
-from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look, evenly
@@ -34,7 +33,7 @@ from scenegen.logs.log import Log
 from scenegen.logs.read import is_log, read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.predictions import PACKED, new_hdf5
+from scenegen.model.completion.predictions import PACKED, new_hdf5, read_guarded
 from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels

@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import h5py
-import isal.isal_zlib
 import numpy as np
 
-from scenegen.dataset.hdf5 import Stored, read_guarded
-from scenegen.dataset.layout import FILTERS, unpack
+from scenegen.dataset.layout import READ_ERRORS, Chunks
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
 from scenegen.files import real_path
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import StoredProbability
+from scenegen.model.completion.predictions import read_guarded
 from scenegen.model.completion.protocol import (
     PARTS,
     STORED,
@@ -200,21 +199,14 @@ def _check_chunks(name: str, data: h5py.Dataset) -> None:
     comes out."""
     if math.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
         raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
-    plan = data.id.get_create_plist()
-    filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
-    if not set(filters) <= FILTERS:
-        raise DatasetError(f"{name} has filters {filters}; store it plain or with gzip")
-    column = Stored(data.dtype, (0, *data.chunks), None, filters, np.empty((0, 4), np.int64))
-    places: list[tuple[int, ...]] = []
-    data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
-    for place in places:
-        left_out, packed = data.id.read_direct_chunk(place)
-        try:
-            unpack(packed, column, left_out)
-        except (ValueError, EOFError, isal.isal_zlib.error) as error:
-            raise DatasetError(
-                f"{name}: its chunk at {place} cannot be unpacked ({error})"
-            ) from None
+    with raised_as(DatasetError, f"{name} ", "; store it plain or with gzip"):
+        chunks = Chunks(data.id)
+    offsets: list[tuple[int, ...]] = []
+    data.id.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
+    for offset in offsets:
+        begin = f"{name}: its chunk at {offset} cannot be unpacked: "
+        with raised_as(DatasetError, begin, of=READ_ERRORS):
+            chunks.read(offset)
 
 
 def _pairs(file: h5py.File) -> list[tuple[int, int]]:

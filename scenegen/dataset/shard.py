@@ -18,7 +18,6 @@ import numpy as np
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
-from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.schema import ShardEntry, stem_of
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
@@ -189,7 +188,7 @@ def put(
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
-        content = with_index(file.id.get_file_image(), file, spec.samples)
+        content = file.id.get_file_image()
     write_whole(spec.folder / spec.worlds, worlds)
     write_whole(spec.folder / spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
@@ -252,9 +251,7 @@ def read_report(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None
     try:
         path = spec.folder / spec.file
         with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
-            shard = open_shard(file, path, spec.samples, spec.layout)
-            if not tells(file):  # nothing is lost, but it is not the file that was written
-                return None
+            shard = open_shard(path, spec.samples, spec.layout)
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)
             shard.check_origin(
@@ -284,7 +281,8 @@ def relabel(spec: ShardSpec, old: str, listed: ShardEntry) -> None:
             content = file.read()
     except (BrokenError, OSError):
         return
-    if sha256_of(content) == listed.sha256 and content.count(old.encode()) == 2:
+    # shards of earlier versions repeat their attributes behind the end of HDF5's part
+    if sha256_of(content) == listed.sha256 and content.count(old.encode()) in (1, 2):
         write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
 
 

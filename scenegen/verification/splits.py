@@ -3,6 +3,8 @@ for such near-twins."""
 
 import functools
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +12,11 @@ from numpy.typing import NDArray
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
-from scenegen.dataset.layout import ShardFile, open_file, open_shard
+from scenegen.dataset.layout import Layout, ShardFile, open_shard
 from scenegen.dataset.manifest import Manifest
+from scenegen.errors import GuardError, raised_as
+from scenegen.limits import GUARD_BYTES, GUARD_S
+from scenegen.run.workers import guarded
 from scenegen.verification.check import Check, Sample, Worlds
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import map_digest
@@ -102,6 +107,10 @@ DIGEST_BYTES = 32
 """Length of a world's digest."""
 MOST_OPEN = 100
 """This many shards are open at once at most."""
+SECONDS_A_PAIR = 1.0
+"""Comparing samples may take so much longer for every pair, seconds."""
+Place = tuple[int, int]
+"""A sample: number of its shard, row in it."""
 
 
 def _digest_worlds(worlds: Worlds, page: Page) -> None:
@@ -164,29 +173,53 @@ def _compare(contract: Manifest, page: Page) -> None:
     splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
     pairs, complete = candidates(np.array(occupied), np.array(observed), splits)
     page.count(**{"pairs alike enough to compare": len(pairs)})
-    faults = 0
+    shards = {
+        number: (contract.folder / entry.file, entry.samples, contract.layout)
+        for number in {places[sample][0] for sample in pairs.flat}
+        for entry in (contract.shards[number],)
+    }
+    named_pairs = [(places[a], places[b]) for a, b in pairs]
+    with raised_as(BrokenError, "comparing samples voxel by voxel ", of=GuardError):
+        twins = guarded(
+            _find_twins,
+            (shards, named_pairs),
+            seconds=GUARD_S + SECONDS_A_PAIR * len(pairs),
+            memory_bytes=GUARD_BYTES,
+        )
+    for one, other, occupied_iou, seen_iou in twins:
+        page.fault(
+            f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
+            f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU "
+            f"{occupied_iou:.3f}, observed {seen_iou:.3f}), expected another world"
+        )
+    if not complete and not twins:
+        page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
+
+
+def _find_twins(
+    task: tuple[dict[int, tuple[Path, int, Layout]], list[tuple[Place, Place]]],
+) -> list[tuple[Place, Place, float, float]]:
+    """The pairs of samples that are near-twins, with the overlap of their occupied and of their
+    observed voxels. Opens the shards again, which is not for `verify`'s own process to do."""
+    shards, pairs = task
 
     @functools.lru_cache(maxsize=MOST_OPEN)
     def opened(number: int) -> ShardFile:
-        entry = contract.shards[number]
-        path = contract.folder / entry.file
-        return open_shard(open_file(path), path, entry.samples, contract.layout)
+        return open_shard(*shards[number])
 
-    for one, other in ((places[a], places[b]) for a, b in pairs):
-        seen_iou = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))
+    def maps(name: str, *places: Place) -> Any:
+        return [opened(number).value(name, row) for number, row in places]
+
+    twins = []
+    for pair in pairs:
+        seen_iou = overlap(*maps("observed", *pair))
         if seen_iou < OBSERVED_IOU:
             continue
-        truths = [opened(number).value("occupancy", row) for number, row in (one, other)]
+        truths = maps("occupancy", *pair)
         occupied_iou = overlap(*truths)
         if occupied_iou >= OCCUPIED_IOU and standing_overlap(*truths) >= STANDING_IOU:
-            faults += 1
-            page.fault(
-                f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
-                f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU "
-                f"{occupied_iou:.3f}, observed {seen_iou:.3f}), expected another world"
-            )
-    if not complete and not faults:
-        page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
+            twins.append((*pair, occupied_iou, seen_iou))
+    return twins
 
 
 CHECKS = (
