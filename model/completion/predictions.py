@@ -49,7 +49,7 @@ def predict_split(
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
-    dataset = Dataset(folder, whole=True)
+    dataset = Dataset(folder)
     with raised_as(DatasetError, f"{folder}: "):
         completer.check_grid(dataset.grid)
     samples = dataset.split(split)

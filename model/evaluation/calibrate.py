@@ -195,7 +195,7 @@ def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_T
 
 def _count_task(split: str, method: Completer, weight: float, task: _Task) -> list[_Counted]:
     """Complete a task's maps, and count the logits of their unknown voxels."""
-    samples, results = Dataset(task.folder, whole=True).split(split), []
+    samples, results = Dataset(task.folder).split(split), []
     for number in task.numbers:
         sample = samples[number]
         probability = method.completion(sample, samples).occupancy_probability

@@ -96,7 +96,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
     if isinstance(folders, Mapping):
         folders = folders.items()
     parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
-    datasets = [SampleDataset(folder, whole=True) for folder, _ in parts]
+    datasets = [SampleDataset(folder) for folder, _ in parts]
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
         check_disjoint(datasets)  # what was merged or taken may hold samples of the others
     return [

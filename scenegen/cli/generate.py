@@ -216,7 +216,7 @@ def make(
     from scenegen.dataset.build import build
     from scenegen.run import executor
 
-    with Progress(plan.folder.name, shown=talk) as progress:
+    with Progress(Path(str(plan.folder)).name, shown=talk) as progress:
         summary = build(
             plan,
             execute=executor(on, workers),

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,13 @@ from scenegen.dataset.placed import write_shard
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError
-from scenegen.files import Json, remove_drafts, writable
+from scenegen.files import Json, writable
 from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
 from scenegen.run import Counted, Executor, undone, unheard
 from scenegen.run.workers import Local
 from scenegen.source import Source
-from scenegen.stores import StorePath
+from scenegen.stores import Place
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished; of the most shards that there can be,
@@ -37,7 +38,7 @@ class Summary:
     """What a run did, and what it knows to be there; a job with a part of the shards looks at no
     others until all are there."""
 
-    folder: Path
+    folder: Place
     complete: bool
     samples: dict[str, int]
     worlds: dict[str, int]
@@ -50,7 +51,7 @@ class Summary:
 
 
 def plan_dataset(
-    folder: Path,
+    folder: Place,
     recipe: Recipe,
     source: Source,
     **options: Any,
@@ -67,7 +68,7 @@ def plan_dataset(
 
 
 def divide(
-    folder: Path,
+    folder: Place,
     given: Json,
     recipe: Recipe,
     source: Source,
@@ -93,7 +94,6 @@ def divide(
             apart = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
-                    folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
@@ -151,9 +151,10 @@ def build(
         on_shard(report, False)
     samples = sum(shard.samples for shard in mine)
     written, noted = 0, time.monotonic()
+    write = partial(write_shard, plan.folder)
     with (
-        undone(lambda: remove_drafts(plan.folder)),
-        closing(execute(write_shard, missing, lambda: on_start(samples))) as results,
+        undone(state.clear),
+        closing(execute(write, missing, lambda: on_start(samples))) as results,
     ):
         for report in results:
             state.reports[report.file] = report
@@ -168,9 +169,9 @@ def build(
 
 
 def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
+    """Raise DatasetError where the disk clearly cannot hold what is to be written; a store tells
     nobody beforehand."""
-    if not missing or isinstance(plan.folder, StorePath):
+    if not missing or not isinstance(plan.folder, Path):
         return
     needed = replace(plan, shards=tuple(missing)).bytes_expected
     disk = shutil.disk_usage(writable(plan.folder))

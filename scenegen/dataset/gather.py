@@ -25,6 +25,7 @@ from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 from scenegen.sample import DERIVED, GROUPS
+from scenegen.stores import Place
 
 CONTENT = tuple(name for name in GROUPS[""] if name not in (*DERIVED, "world", "viewpoint"))
 """The fields of every sample that do not follow from others, less its name."""
@@ -134,7 +135,7 @@ class Part(ShardTask):
     """The samples that are taken, in order; None for all."""
     tells = False
 
-    def write(self) -> ShardReport:
+    def write(self, folder: Path) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
         lists, or a sample that is taken out of it has not its digest."""
         path = self.there / self.entry.file
@@ -154,13 +155,13 @@ class Part(ShardTask):
             for row in self.rows or ():  # a whole shard is the file that its manifest signs
                 shard.check(row)
             return (
-                self._copy(worlds, file, shard)
+                self._copy(folder, worlds, file, shard)
                 if self.rows is None
-                else self._repack(worlds, shard, self.rows)
+                else self._repack(folder, worlds, shard, self.rows)
             )
 
     def _copy(
-        self, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
+        self, folder: Path, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
     ) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit
         them."""
@@ -168,13 +169,13 @@ class Part(ShardTask):
         size = 0
         for file, target in ((worlds, self.worlds), (samples, self.file)):
             file.seek(0)
-            write_whole(self.folder / target, content := file.read())
+            write_whole(folder / target, content := file.read())
             size += len(content)
         own = shard.column(DIGEST).tobytes()
         return report_of(self, self.entry.sums, size, shard.rejected(), own)
 
     def _repack(
-        self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
+        self, folder: Path, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
     ) -> ShardReport:
         """The `rows` packed anew, and the worlds that they are of."""
         documents = dict[str, bytes]()
@@ -191,7 +192,7 @@ class Part(ShardTask):
 
         # what was rejected on the way to the whole shard cannot be told apart; the source's own
         # manifest has it
-        return put(self, stored(), documents, none_rejected())
+        return put(folder, self, stored(), documents, none_rejected())
 
 
 EMPTY: Json = {
@@ -204,7 +205,7 @@ EMPTY: Json = {
 """What a manifest says where the datasets differ that its samples were made for."""
 
 
-def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
+def plan_take(dataset: Dataset, folder: Place, choice: Choice, *, workers: int = 1) -> Plan:
     """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises
     DatasetError."""
     pieces = choose(dataset, choice, workers=workers)
@@ -214,7 +215,7 @@ def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 
     return _plan(folder, pieces, taken=str(choice), nothing=nothing)
 
 
-def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -> Plan:
+def plan_merge(datasets: Sequence[Dataset], folder: Place, *, workers: int = 1) -> Plan:
     """Plan in `folder` all samples of `datasets`, split by split in the order in which these are
     named.
 
@@ -252,7 +253,7 @@ Sources = dict[tuple[str, str], tuple[Manifest, dict[str, None]]]
 of each were taken."""
 
 
-def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -> Plan:
+def _plan(folder: Place, pieces: Iterable[Chosen], *, taken: str, nothing: str) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
     sources: Sources = {}
@@ -274,7 +275,6 @@ def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -
         rows = None if len(chosen.rows) == chosen.entry.samples else tuple(chosen.rows.tolist())
         parts.append(
             Part(
-                folder=folder,
                 split=split,
                 index=index[split],
                 samples=len(chosen.rows),

@@ -26,7 +26,7 @@ from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import folder_of
+from scenegen.stores import Place, place_of
 from scenegen.tables import combinations, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
 
@@ -76,7 +76,7 @@ def plan_generation(
     *,
     val: int | None = None,
     test: int | None = None,
-    out: str | Path | None = None,
+    out: str | Place | None = None,
     scene: str | Path | None = None,
     recipe: str | Path | Recipe | None = None,
     lidar: str | Sensor | None = None,
@@ -190,10 +190,10 @@ def _labels(by: By | None, source: DrawnWorlds | SceneWorlds) -> Labels | None:
     return labels_by(by, source.class_names(by)) if by else None
 
 
-def _folder(out: str | Path | None, name: str) -> Path:
+def _folder(out: str | Place | None, name: str) -> Place:
     if out is None:
         return Path("data", name)
-    return folder_of(out) if isinstance(out, str) else out
+    return place_of(out) if isinstance(out, str) else out
 
 
 def is_mixed(path: Path) -> bool:
@@ -284,7 +284,7 @@ def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
 
 
 def plan_mixed(
-    folder: Path,
+    folder: Place,
     components: Sequence[Component],
     *,
     counts: Mapping[str, int],

@@ -8,11 +8,10 @@ import sys
 import weakref
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import isal.isal_zlib
 import numpy as np
@@ -20,19 +19,14 @@ import numpy as np
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.dataset.rules import REJECTED, check
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
-from scenegen.files import open_bounded, open_parts, pread, sha256_in, size_of
+from scenegen.files import open_bounded, pread, sha256_in, size_of
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
-
-if TYPE_CHECKING:
-    from scenegen.stores.copies import Copy
+from scenegen.stores import fetch
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
 FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
-TAIL_BYTES, TAIL_BYTES_A_SAMPLE = 1 << 16, 512
-"""What is fetched of a shard first, from its end: about what its index and the small fields of its
-samples take."""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
@@ -54,17 +48,11 @@ def most_bytes(layout: Layout, samples: int) -> int:
 class ShardFile:
     """An open shard whose layout is as the format says. Any number of threads may read from it."""
 
-    file: "BufferedReader | Copy"
+    file: BufferedReader
     name: str
     columns: Mapping[str, Stored]
     """The file's HDF5 datasets by name: N chunks each, one a sample."""
     attributes: Mapping[str, int | str | None]
-
-    @property
-    def fetched(self) -> bool:
-        """Whether what is read of it comes from a store, and was not held against the manifest's
-        digest as a whole."""
-        return not isinstance(self.file, BufferedReader)
 
     def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
         """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can
@@ -155,20 +143,12 @@ def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, and no pipe that would never end. Raises BrokenError, and StoreError."""
-    with _listed(path):
-        return open_bounded(path, sys.maxsize)
-
-
-def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
-    """`open_file` for a shard; of a copy that is not whole, what is read of it is fetched."""
-    with _listed(path):
-        return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
-
-
-def _listed(path: Path) -> AbstractContextManager[None]:
+    """A regular file, and no pipe that would never end; in a mirror, fetched before. Raises
+    BrokenError, and StoreError."""
     fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
-    return raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError))
+    with raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError)):
+        fetch(path)
+        return open_bounded(path, sys.maxsize)
 
 
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
@@ -177,9 +157,7 @@ def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
         raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 
-def open_shard(
-    file: "BufferedReader | Copy", path: Path, samples: int, layout: Layout
-) -> ShardFile:
+def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -> ShardFile:
     """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once
     nobody holds the shard any more. Raises BrokenError with what is wrong."""
     try:
@@ -191,7 +169,7 @@ def open_shard(
     return shard
 
 
-def _checked(file: "BufferedReader | Copy", name: str, samples: int, layout: Layout) -> ShardFile:
+def _checked(file: BufferedReader, name: str, samples: int, layout: Layout) -> ShardFile:
     """The shard in `file`, which errors call `name`."""
     size, most = size_of(file), most_bytes(layout, samples)
     if size > most:

@@ -1,6 +1,6 @@
 """Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the
-Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied when they are
-read."""
+Hugging Face Hub, or a store, ``s3://bucket/folder``, of which files are fetched when they are
+first opened."""
 
 import contextlib
 import os
@@ -13,9 +13,9 @@ from scenegen.dataset import manifest, trust
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.rules import pattern_of
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import read_bounded, sha256_in
+from scenegen.files import LOCATED, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.stores import LOCATED, folder_of, is_remote
+from scenegen.stores import Store, fetch_all, is_remote, make_mirror, note_files
 
 os.environ.setdefault(
     "HF_HUB_DISABLE_TELEMETRY", "1"
@@ -51,9 +51,9 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
     """The folder of a dataset on this machine. A path comes back as it is; only a name with a
     scheme is looked for.
 
-    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
-    copies (see `scenegen.stores.cache`), where every other file comes to lie when it is first
-    opened, or all of them now, with `whole`. Raises DatasetError and StoreError.
+    ``hf://…`` is downloaded: see `download`. Of a store the manifest is, into a mirror (see
+    `scenegen.stores`), where each shard comes to lie when it is first opened, or all of them now,
+    with `whole`. Raises DatasetError and StoreError.
     """
     if not is_remote(name):
         return Path(name)
@@ -62,34 +62,29 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
         commit = f"{SCHEME}{parse(str(name))[0]}@{found.name}"
         LOCATED[found] = locate_again, commit, found.name
         return found
-    from scenegen.stores.cache import fetch_all, keep, note
-
-    place = folder_of(str(name))
+    store = Store(str(name))
     try:
-        content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)
+        content = store.read(manifest.NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
             f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate "
             f"--out {name}`"
         ) from None
-    folder = keep(str(place), manifest.NAME, content)
-    listed = trust.load(folder, str(name)).files  # checked before they are used as names
-    note(folder, str(place), listed)
-    if whole:
-        fetch_all(folder, listed)
-    LOCATED[folder] = locate_again, str(place), folder.name
+    folder = make_mirror(store, manifest.NAME, content)
+    document = trust.load(folder, str(name))  # checked before its files are used as names
+    note_files(folder, store, document.files)
+    fetch_all(folder, document.files if whole else document.rays.values())
+    LOCATED[folder] = locate_again, store.url, folder.name
     return folder
 
 
-def load(dataset: str | os.PathLike[str], split: str = "train", *, whole: bool = False) -> Split:
+def load(dataset: str | os.PathLike[str], split: str = "train") -> Split:
     """The samples of a split, read when asked for, without a copy in memory.
 
     Args:
         dataset: A `Dataset`, a folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``,
             which is copied once and checked.
         split: "train", "val" or "test".
-        whole: Fetch each shard from a store whole, in one request, when it is opened: for who reads
-            most samples. Otherwise what is read is fetched.
 
     Returns:
         A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
@@ -99,7 +94,7 @@ def load(dataset: str | os.PathLike[str], split: str = "train", *, whole: bool =
     Raises:
         DatasetError: There is no such dataset or split, or it is incomplete or damaged.
     """
-    return Dataset(locate(dataset), whole=whole).split(split)
+    return Dataset(locate(dataset)).split(split)
 
 
 @cache

@@ -14,7 +14,7 @@ from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
 from scenegen.errors import DatasetError, StoreError, printable, short, whole_number
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
+from scenegen.files import Json, sha256_of, write_whole
 from scenegen.limits import (
     MOST_DEPTH,
     MOST_MANIFEST_BYTES,
@@ -23,7 +23,7 @@ from scenegen.limits import (
     USUAL_IN_SHARD,
 )
 from scenegen.run.software import software
-from scenegen.stores import ConflictError
+from scenegen.stores import ConflictError, Place, Store, read_at
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
     from scenegen.dataset.shard import ShardReport
@@ -203,20 +203,25 @@ def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -
     }
 
 
-def write(folder: Path, manifest: Json) -> None:
-    """Replace the manifest of `folder`; at a place, the one that was read last.
+def write(folder: Place, manifest: Json) -> None:
+    """Replace the manifest of `folder`; at a store, the one that was read last.
 
     If another run has put one there meanwhile, a complete one stays, and this one takes the place
     of any other; they may list other shards, but none differently. Raises StoreError where it is of
     another dataset.
     """
-    content = (json.dumps(manifest, indent=1) + "\n").encode()
+    content = encode(manifest)
+    if not isinstance(folder, Store):
+        write_whole(folder / NAME, content)
+        return
     while True:  # until no other run puts one between
         try:
-            write_whole(folder / NAME, content)
+            folder.replace(NAME, content)
             return
         except ConflictError:
             there = read(folder)
+            if encode(there) == content:
+                return
         if parameters_of(there) != parameters_of(manifest):
             raise StoreError(
                 f"{folder}: another run has begun another dataset there; choose another --out for "
@@ -231,21 +236,26 @@ def write(folder: Path, manifest: Json) -> None:
             return
 
 
-def read(folder: Path, name: str = "") -> Json:
+def encode(manifest: Json) -> bytes:
+    """The content of the file."""
+    return (json.dumps(manifest, indent=1) + "\n").encode()
+
+
+def read(folder: Place, name: str = "") -> Json:
     """The manifest of `folder`, which errors call `name`, as it stands there, its values unchecked.
 
     Raises DatasetError where it has none that this version can read.
     """
     path = f"{name or folder}/{NAME}"
     try:
-        manifest = json.loads(read_bounded(folder / NAME, MOST_MANIFEST_BYTES).decode())
+        manifest = json.loads(read_at(folder, NAME, MOST_MANIFEST_BYTES).decode())
         if _depth(manifest) > MOST_DEPTH:
             raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
-        lacks = f"it has no {NAME}" if Path(folder).exists() else "there is no such folder"
+        here = Path(str(folder))
+        lacks = f"it has no {NAME}" if here.exists() else "there is no such folder"
         inner, others = (
-            [str(path.parent) for path in Path(place).glob(f"*/{NAME}")]
-            for place in (folder, folder.parent)
+            [str(near.parent) for near in place.glob(f"*/{NAME}")] for place in (here, here.parent)
         )
         for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), others, 1, 0.8):
             lacks += f"; did you mean {near}?"

@@ -15,9 +15,10 @@ from lidarsim.parameters import MOST_RAYS, MOST_TEXT
 from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text, whole
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_SEED, MOST_VOXELS
 from scenegen.sample import Schema
+from scenegen.stores import Place, create_at, read_at
 from scenegen.worlds.mapping import Known, Mapper
 
 if TYPE_CHECKING:  # these import MuJoCo, which reading does not take
@@ -164,13 +165,13 @@ def tables_of(sensors: Iterable[Sensor]) -> dict[str, BeamTable]:
     return {names[table.sha256]: table for table in tables}
 
 
-def write_rays(sensors: Iterable[Sensor], folder: Path) -> None:
-    """Put the tables of `sensors` into the dataset's folder, unless they are there."""
+def write_rays(sensors: Iterable[Sensor], place: Place) -> None:
+    """Put the tables of `sensors` where the dataset lies, unless they are there."""
     for name, table in tables_of(sensors).items():
-        with suppress(FileNotFoundError):
-            if (folder / name).read_bytes() == table.npy:
+        with suppress(FileNotFoundError, DatasetError):
+            if read_at(place, name, len(table.npy)) == table.npy:
                 continue
-        write_whole(folder / name, table.npy)
+        create_at(place, name, table.npy)
 
 
 def noise_entry(noise: "Noise", max_range_m: float) -> Json | None:

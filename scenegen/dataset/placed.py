@@ -1,20 +1,20 @@
-"""Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
-store."""
+"""Shards as they are written and found again, in a folder or at a store: notes of jobs, and the
+report beside each shard of a store."""
 
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of, whole
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, relabel, report_of
 from scenegen.dataset.trust import Entry
 from scenegen.errors import DatasetError
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import StorePath, Version
+from scenegen.stores import Place, Store
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
@@ -46,67 +46,109 @@ def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
 
 
 def remove_notes(folder: Path) -> None:
-    """Delete them: the manifest lists everything. A store has none."""
-    for path in () if isinstance(folder, StorePath) else folder.glob(NOTES):
+    """Delete them: the manifest lists everything."""
+    for path in folder.glob(NOTES):
         path.unlink(missing_ok=True)
 
 
 SUFFIX = ".report.json"
 AT_A_TIME = 16
 """Reports that are fetched at the same time."""
-MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
-"""A report is no larger."""
+MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
-def write_shard(spec: ShardTask) -> ShardReport:
-    """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
-    for its files. Raises GenerationError, DatasetError, StoreError."""
-    report = spec.write()
-    if isinstance(spec.folder, StorePath):
-        _note(spec, report, [place.version for place in _places(spec)])
+def write_shard(place: Place, task: ShardTask) -> ShardReport:
+    """Write a shard, whatever its samples come from. At a store its files are put whole: the
+    worlds, the samples, which commit it, and a report of both. Pure but for its files.
+
+    Raises GenerationError, DatasetError, StoreError.
+    """
+    if isinstance(place, Path):
+        return task.write(place)
+    with _scratch(task) as folder:
+        report = task.write(folder)
+        for name in (task.worlds, task.file):
+            place.create(name, (folder / name).read_bytes())
+    _put_report(place, task, report)
     return report
 
 
-def look(
-    there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
-) -> Iterator[ShardReport | None]:
-    """The reports of shards, each with what the manifest lists of it, at the place where objects
-    are `there`, by their versions; None for one that is not as it should be.
+def report_at(place: Place, task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    """`read_report` of a shard in a folder or at a store, of which the files are fetched."""
+    with _at_hand(place, task[0]) as folder:
+        return read_report(folder, task)
 
-    Objects that are those which a report beside them was written for are taken as they are: stores
-    keep what they took. Any other shard is read, and removed where it is damaged. Raises
-    StoreError.
+
+def relabel_at(place: Place, task: ShardTask, old: str, listed: Entry) -> None:
+    """`relabel` a shard in a folder or at a store."""
+    with _at_hand(place, task) as folder:
+        if relabel(folder, task, old, listed) and isinstance(place, Store):
+            place.put(task.file, (folder / task.file).read_bytes())
+
+
+def find_reports(
+    store: Store, sizes: Mapping[str, int | None], tasks: Sequence[tuple[ShardTask, Entry | None]]
+) -> Iterator[ShardReport | None]:
+    """Reports of shards at a store, in order; None for one that is not as it should be.
+
+    A shard is not fetched if the report beside it is of objects of these sizes: stores keep what
+    they took. Any other is read, and removed if it is damaged.
+
+    Args:
+        store: Where the shards are.
+        sizes: Bytes of all objects by name.
+        tasks: Shards, each with its entry in the manifest, if it is listed.
+
+    Raises:
+        StoreError: The store does not answer. Nothing is removed then.
     """
 
-    def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    def find(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there.get(name) for name in (spec.file, spec.worlds)]
-        report = _noted(spec, now, there) if None not in now else None
-        if report is None or (listed and report.sums != listed.sums):
-            report = read_report(task)
-            if report is None:
-                for place in _places(spec):
-                    place.unlink(missing_ok=True)
-            else:
-                _note(spec, report, now)
+        report = _read_report(store, spec, sizes)
+        if report is not None and (listed is None or report.sums == listed.sums):
+            return report
+        if (report := report_at(store, task)) is None:
+            for name in (spec.file, spec.worlds):
+                store.remove(name)
+        else:
+            _put_report(store, spec, report)
         return report
 
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        yield from pool.map(one, tasks)
+        yield from pool.map(find, tasks)
 
 
-def _places(spec: ShardTask) -> list[Any]:
-    """Where its objects are, the samples, which commit it, first."""
-    return [spec.folder / spec.file, spec.folder / spec.worlds]
+@contextmanager
+def _scratch(task: ShardTask) -> Iterator[Path]:
+    """A folder of this machine for a shard, until the block ends."""
+    with TemporaryDirectory(prefix="scenegen-") as folder:
+        (Path(folder) / task.file).parent.mkdir(exist_ok=True)
+        yield Path(folder)
 
 
-def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> Json:
-    """What stands in the report beside a shard whose objects are of these versions."""
+@contextmanager
+def _at_hand(place: Place, task: ShardTask) -> Iterator[Path]:
+    """A folder of this machine with a shard's files, as far as there are any."""
+    if isinstance(place, Path):
+        yield place
+        return
+    with _scratch(task) as folder:
+        with suppress(FileNotFoundError):
+            for name in (task.file, task.worlds):
+                place.fetch(name, folder / name)
+        yield folder
+
+
+def _report_name(task: ShardTask) -> str:
+    return task.file.removesuffix(".h5") + SUFFIX
+
+
+def _report_document(task: ShardTask, report: ShardReport) -> Json:
     return {
-        "parameters": spec.parameters,
-        "versions": versions,
+        "parameters": task.parameters,
         **report.entry(),
         "size": report.size,
         "rejected": report.rejected,
@@ -114,28 +156,28 @@ def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> 
     }
 
 
-def _note(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> None:
-    content = json.dumps(_said(spec, report, versions)).encode()
-    assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), content)
+def _put_report(store: Store, task: ShardTask, report: ShardReport) -> None:
+    store.put(_report_name(task), json.dumps(_report_document(task, report)).encode())
 
 
-def _report_name(spec: ShardTask) -> str:
-    return spec.file.removesuffix(".h5") + SUFFIX
-
-
-def _noted(
-    spec: ShardTask, now: Sequence[Version], there: Mapping[str, Version]
+def _read_report(
+    store: Store, task: ShardTask, sizes: Mapping[str, int | None]
 ) -> ShardReport | None:
-    """What the report beside a shard says, if it is of just these objects."""
-    if (name := _report_name(spec)) not in there:
+    """What the report beside a shard says, if it is of objects of these sizes."""
+    if _report_name(task) not in sizes:
         return None
     with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError, KeyError, TypeError):
-        said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        check(said, {**rules_of(Entry), "size": whole(0, sys.maxsize)}, "")
-        check(said["rejected"], REJECTED, "")
-        sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
-        report = report_of(spec, sums, said["size"], said["rejected"], digests)
-        if said == _said(spec, report, now) and len(digests) == 32 * spec.samples:
+        document = json.loads(store.read(_report_name(task), MAX_REPORT_BYTES))
+        check(document, {**rules_of(Entry), "size": whole(0, sys.maxsize)}, "")
+        check(document["rejected"], REJECTED, "")
+        sums = document["sha256"], document["worlds_sha256"]
+        digests, size = bytes.fromhex(document["digests"]), document["size"]
+        report = report_of(task, sums, size, document["rejected"], digests)
+        stored = sum(sizes.get(name) or 0 for name in (task.file, task.worlds))
+        if (
+            document == _report_document(task, report)
+            and len(digests) == 32 * task.samples
+            and size == stored
+        ):
             return report
     return None

@@ -18,7 +18,7 @@ from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
+from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
@@ -57,8 +57,7 @@ class Dataset:
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
     Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
     Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
-    of them has them `whole`.
+    sample by its digest.
     """
 
     def __init__(
@@ -67,10 +66,9 @@ class Dataset:
         *,
         partial: bool = False,
         checked: bool = False,
-        whole: bool = False,
     ):
         self.folder = Path(folder)
-        self.checked, self.whole = checked, whole
+        self.checked = checked
         self._sound: set[str] = set()
         self._splits: dict[str, Split] = {}
         self.manifest = trust.load(self.folder)
@@ -161,12 +159,7 @@ class Dataset:
         home = self.manifest.home(entry)
         with advised(self.folder):
             shard = open_shard(
-                self._open(entry.file, entry.sha256)
-                if self.checked or self.whole
-                else open_fetched(path, entry.samples),
-                path,
-                entry.samples,
-                home.layout,
+                self._open(entry.file, entry.sha256), path, entry.samples, home.layout
             )
             shard.check_origin(
                 split=entry.split,
@@ -211,8 +204,8 @@ class Split(Samples):
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
-        # this says at once if the file is missing or not this dataset's
-        if self._shard(number).fetched or self.dataset.checked:
+        self._shard(number)  # says at once if the file is missing or not this dataset's
+        if self.dataset.checked:
             self.check(index)
         home, find = self.home(index), partial(self._find, number, row)
         return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)

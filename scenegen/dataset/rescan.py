@@ -33,6 +33,7 @@ from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.source import Source
+from scenegen.stores import Place
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.world import AnyWorld
 
@@ -156,7 +157,7 @@ class RescanSpec(ShardSpec):
 
 def plan_rescan(
     dataset: Dataset,
-    folder: Path,
+    folder: Place,
     *,
     lidar: Sensor | None = None,
     chain: Noise | None = None,

@@ -49,10 +49,9 @@ def find_engine(name: str) -> EngineFactory:
 
 @dataclass(frozen=True, kw_only=True)
 class ShardTask:
-    """A shard that is to be in a folder, whatever its samples come from; small, and can be pickled,
-    so that any process anywhere can write it."""
+    """A shard that is to be, whatever its samples come from, and wherever it is to lie; small, and
+    can be pickled, so that any process anywhere can write it."""
 
-    folder: Path
     split: str
     index: int
     """The shard's place within its split."""
@@ -83,8 +82,8 @@ class ShardTask:
         """Have done, by up to so many processes, what every writing process would else do by
         itself."""
 
-    def write(self) -> "ShardReport":
-        """Write the shard."""
+    def write(self, folder: Path) -> "ShardReport":
+        """Write the shard into a folder."""
         raise NotImplementedError
 
 
@@ -140,7 +139,7 @@ class ShardSpec(ShardTask, Units):
                 other.give(self.split)
             self.draw(self.first_unit)
 
-    def write(self) -> "ShardReport":
+    def write(self, folder: Path) -> "ShardReport":
         """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
         GenerationError, DatasetError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
@@ -156,7 +155,7 @@ class ShardSpec(ShardTask, Units):
                     yield partial(getattr, sample), sample.sha256()
                 left -= len(unit.samples)
 
-        return put(self, drawn(), documents, rejected)
+        return put(folder, self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -177,13 +176,14 @@ class ShardReport(Entry):
 
 
 def put(
+    folder: Path,
     spec: ShardTask,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
-    `documents` and `rejected` are looked at once the samples have come to their end.
+    """Write a shard of `samples` and of worlds into a folder: these first, then the samples, which
+    commit it. `documents` and `rejected` are looked at once the samples have come to their end.
 
     Raises DatasetError, and whatever `samples` raise.
     """
@@ -213,8 +213,8 @@ def put(
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
-    write_whole(spec.folder / spec.worlds, worlds)
-    write_whole(spec.folder / spec.file, content)
+    write_whole(folder / spec.worlds, worlds)
+    write_whole(folder / spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
     return report_of(spec, sums, len(content) + len(worlds), rejected, own)
 
@@ -266,9 +266,9 @@ def compress(values: np.ndarray) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none as `task` has it:
-    what the shard is to be, and what the manifest lists of it.
+def read_report(folder: Path, task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    """The report of a shard that is in a folder already, or None where there is none as `task` has
+    it: what the shard is to be, and what the manifest lists of it.
 
     A shard whose files are no longer what its entry says, or whose archive is not the one that was
     written with it, is damaged, and counts as absent. Where there is no entry, samples are held
@@ -276,8 +276,8 @@ def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
     """
     spec, listed = task
     try:
-        path = spec.folder / spec.file
-        with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
+        path = folder / spec.file
+        with open_file(path) as file, open_file(folder / spec.worlds) as worlds:
             shard = open_shard(file, path, spec.samples, spec.layout)
             if not tells(file):  # nothing is lost, but it is not the file that was written
                 return None
@@ -300,18 +300,20 @@ def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         return None
 
 
-def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
+def relabel(folder: Path, spec: ShardTask, old: str, listed: Entry) -> bool:
     """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry
     `listed` has it, carry those of `spec` in their place; it is left alone where it is not just
-    that shard."""
-    path = spec.folder / spec.file
+    that shard. Whether it was."""
+    path = folder / spec.file
     try:
         with open_file(path) as file:
             content = file.read()
     except (BrokenError, OSError):
-        return
-    if sha256_of(content) == listed.sha256 and content.count(old.encode()) == 2:
-        write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
+        return False
+    if sha256_of(content) != listed.sha256 or content.count(old.encode()) != 2:
+        return False
+    write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
+    return True
 
 
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"

@@ -7,19 +7,27 @@ import math
 import sys
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from lidarsim import Sensor
 from scenegen import SPLITS
-from scenegen.dataset import manifest, placed, trust
+from scenegen.dataset import manifest, trust
 from scenegen.dataset.parts import rays_named, tables_of, write_rays
-from scenegen.dataset.placed import read_notes, remove_notes, write_note
+from scenegen.dataset.placed import (
+    find_reports,
+    read_notes,
+    relabel_at,
+    remove_notes,
+    report_at,
+    write_note,
+)
 from scenegen.dataset.rules import FILE_RULE
-from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
+from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts
+from scenegen.files import Json, disk_told, remove_drafts
 from scenegen.run.workers import run
-from scenegen.stores import StorePath, Version
+from scenegen.stores import Place, Store, names_at, read_at, remove_at
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""
@@ -29,7 +37,7 @@ FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 class Plan:
     """A dataset to be: all its parameters, and its shards."""
 
-    folder: Path
+    folder: Place
     parameters: Json
     shards: tuple[ShardTask, ...]
     lidars: tuple[Sensor, ...]
@@ -72,7 +80,7 @@ class State:
         self._force = force
         self._smaller: trust.Manifest | None = None
         """The dataset that this one begins with, as far as the folder holds it."""
-        self._there: Mapping[str, Version] | None = None
+        self._there: Mapping[str, int | None] | None = None
         """What lies there, if that was just listed."""
         self._written: Json = {}
         """The manifest as it was read."""
@@ -102,7 +110,7 @@ class State:
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                self._there = names_in(folder)
+                self._there = names_at(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
@@ -114,7 +122,7 @@ class State:
             return None
         if manifest.NAME not in names:
             found_here = (shard for shard in self.plan.shards if shard.file in names)
-            if any(shard.tells and read_report((shard, None)) for shard in found_here):
+            if any(shard.tells and report_at(folder, (shard, None)) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds files ({names[0]}, …), but no {manifest.NAME} and no sound "
@@ -126,7 +134,7 @@ class State:
         )
         former: trust.Manifest | None = None
         with contextlib.suppress(BrokenError):
-            former = trust.parse(self._written, folder)
+            former = trust.parse(self._written, Path(str(folder)))
         if not differing:
             # if what it says of its shards is damaged, they are held against their own digests
             return {} if former is None else {entry.file: entry for entry in former.shards}
@@ -156,7 +164,7 @@ class State:
         for shard in self.plan.shards:
             entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
-                relabel(shard, old, entry)
+                relabel_at(self.plan.folder, shard, old, entry)
         self._there = None
         self.look(self.plan.shards)
         self.note()
@@ -171,18 +179,22 @@ class State:
         """
         if self._listed is None:
             return
-        there = names_in(self.plan.folder) if self._there is None else self._there
-        self._there = None
-        folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
-        noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
-        listed = {**noted, **self._listed}
+        folder = self.plan.folder
+        there = names_at(folder) if self._there is None else self._there
+        self._there, listed = None, dict(self._listed)
+        if isinstance(folder, Path):
+            listed = read_notes(folder, manifest.fingerprint(self.plan.parameters)) | listed
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
             if shard.file not in self.reports and shard.file in there
         ]
-        found = placed.look(there, tasks) if stored else run(read_report, tasks, workers)
-        self.reports |= {report.file: report for report in found if report is not None}
+        reports = (
+            find_reports(folder, there, tasks)
+            if isinstance(folder, Store)
+            else run(partial(read_report, folder), tasks, workers)
+        )
+        self.reports |= {report.file: report for report in reports if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
@@ -197,41 +209,50 @@ class State:
     def _begin(self) -> None:
         folder = self.plan.folder
         with disk_told(folder):
-            folder.mkdir(parents=True, exist_ok=True)
+            if isinstance(folder, Path):
+                folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
-            there = names_in(folder).keys()
+            there = names_at(folder).keys()
             self._listed, self._there = self._read(), None
-            remove_drafts(folder)
+            self.clear()
         if not self.begun:
             former = _former(folder, there)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= tables_of(self.plan.lidars).keys()
             for name in sorted(planned & there - set(former)):
                 raise DatasetError(
-                    f"{folder / name}: is of no dataset there; move it away, or choose another "
+                    f"{folder}/{name}: is of no dataset there; move it away, or choose another "
                     f"--out"
                 )
             for name in former:  # before the manifest that says whose they are
-                (folder / name).unlink(missing_ok=True)
-            remove_notes(folder)
+                remove_at(folder, name)
+            self._remove_notes()
         if not self.begun or manifest.NAME not in there:
             self.note()
             self._listed = self._listed or {}
-        with disk_told(folder):
-            for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
-                (folder / part).mkdir(exist_ok=True)
+        if isinstance(folder, Path):
+            with disk_told(folder):
+                for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
+                    (folder / part).mkdir(exist_ok=True)
+
+    def clear(self) -> None:
+        """Remove what killed processes left behind; at a store, objects are complete or absent."""
+        if isinstance(self.plan.folder, Path):
+            remove_drafts(self.plan.folder)
+
+    def _remove_notes(self) -> None:
+        if isinstance(self.plan.folder, Path):
+            remove_notes(self.plan.folder)
 
     def note(self, mine: Sequence[ShardTask] | None = None) -> None:
         """Write down the shards that are known, for a run that is stopped: the next one hashes
         their files, and not their samples. The manifest lists them; those of a job that sees to
         `mine` alone stand in a file of its own."""
         if mine is not None and len(mine) < len(self.plan.shards):
-            if isinstance(self.plan.folder, StorePath):
-                return  # a report lies beside each shard
-            parameters = manifest.fingerprint(self.plan.parameters)
-            write_note(
-                self.plan.folder, parameters, [shard.file for shard in mine], self.reports_of(mine)
-            )
+            if isinstance(self.plan.folder, Path):  # at a store, a report lies beside each shard
+                parameters = manifest.fingerprint(self.plan.parameters)
+                files = [shard.file for shard in mine]
+                write_note(self.plan.folder, parameters, files, self.reports_of(mine))
             return
         manifest.write(self.plan.folder, self._final())
 
@@ -243,7 +264,7 @@ class State:
         have written. A job whose shards are all in a complete manifest already is done.
         """
         if self.done:
-            remove_notes(self.plan.folder)
+            self._remove_notes()
             return dict(self._written)
         while True:
             if len(self.reports) < len(self.plan.shards) and self._is_signed(
@@ -256,7 +277,7 @@ class State:
             if _text(manifest.read(self.plan.folder)) != _text(final):
                 manifest.write(self.plan.folder, final)
             if final["complete"]:
-                remove_notes(self.plan.folder)
+                self._remove_notes()
             if whole or self.absent():
                 return final
 
@@ -272,7 +293,7 @@ class State:
 
     def absent(self) -> list[ShardTask]:
         """Shards that are neither known nor on disk."""
-        there = self.reports.keys() | names_in(self.plan.folder).keys()
+        there = self.reports.keys() | names_at(self.plan.folder).keys()
         return [shard for shard in self.plan.shards if shard.file not in there]
 
     def reports_of(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
@@ -285,7 +306,7 @@ def _text(there: Json) -> str:
     return json.dumps(there, sort_keys=True)
 
 
-def _former(folder: Path, names: Set[str]) -> list[str]:
+def _former(folder: Place, names: Set[str]) -> list[str]:
     """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
     tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
     or that of one of its sources. In an order that can be gone on with: worlds come before their
@@ -297,12 +318,11 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
     with contextlib.suppress(BrokenError, LookupError, TypeError):
         # first: it needs no more of a damaged manifest than its sensors
         found |= names & set(rays_named(there).values())
-        former = trust.parse(there, folder)
+        former = trust.parse(there, Path(str(folder)))
         found |= names & former.files.keys()
         owners += [source.fingerprint for source in former.sources]
     for name in filter(FILE_RULE.fits, sorted(names - found)):
-        with open_bounded(folder / name, sys.maxsize) as file:
-            content = file.read()
+        content = read_at(folder, name, sys.maxsize - 1)
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
             known = any(owner.encode() in content for owner in owners)

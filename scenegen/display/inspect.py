@@ -30,7 +30,7 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
 from scenegen.run import Counted, unheard
 from scenegen.run.workers import run
-from scenegen.stores.cache import bytes_in
+from scenegen.stores import bytes_in
 
 MOST_MEASURED = 200
 """Samples of a split that are measured, unless all are."""

@@ -20,7 +20,7 @@ from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
-from scenegen.stores.cache import fetch_all, note_of
+from scenegen.stores import fetch
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
@@ -202,16 +202,12 @@ def verify(
 
 
 class _Examination(Limited):
-    """Copies on another machine what a task reads of a store, before limits are set: that a store
+    """Fetches on another machine what a task reads of a store, before limits are set: that a store
     is slow or refuses is no fault of the dataset."""
 
     def __call__(self, task: Task) -> Findings:
-        contract, entry = task.contract, task.entry
-        if note_of(contract.folder) is not None:
-            fetch_all(
-                contract.folder,
-                [entry.file, entry.worlds, *contract.rays.values()],
-            )
+        for name in (task.entry.file, task.entry.worlds):
+            fetch(task.contract.folder / name)
         return super().__call__(task)
 
 
