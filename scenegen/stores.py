@@ -209,12 +209,11 @@ class Store:
         digest = hashlib.md5(content, usedforsecurity=False).digest()
         headers = {"ContentMD5": base64.b64encode(digest).decode(), **condition}
 
-        def put(system: Any, path: str) -> Any:
-            # in one request, however large it is
-            return system.pipe_file(path, content, chunksize=1 << 40, **headers)
+        def put(system: Any, path: str) -> str:
+            # in one request, however large it is; a page to log in at answers without ETag
+            return system.pipe_file(path, content, chunksize=1 << 40, **headers)["ETag"]
 
-        answer = self._ask(name, put)
-        self._versions[name] = answer.get("ETag")
+        self._versions[name] = self._ask(name, put)
 
     def _check_written(self) -> None:
         if not self._written:

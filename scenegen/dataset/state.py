@@ -25,9 +25,9 @@ from scenegen.dataset.placed import (
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, remove_drafts
+from scenegen.files import Json, disk_told, open_bounded, remove_drafts
 from scenegen.run.workers import run
-from scenegen.stores import Place, Store, names_at, read_at, remove_at
+from scenegen.stores import Place, Store, names_at, remove_at
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""
@@ -322,7 +322,11 @@ def _former(folder: Place, names: Set[str]) -> list[str]:
         found |= names & former.files.keys()
         owners += [source.fingerprint for source in former.sources]
     for name in filter(FILE_RULE.fits, sorted(names - found)):
-        content = read_at(folder, name, sys.maxsize - 1)
+        if isinstance(folder, Store):
+            content = folder.read(name, sys.maxsize - 1)
+        else:
+            with open_bounded(folder / name, sys.maxsize) as file:
+                content = file.read()
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
             known = any(owner.encode() in content for owner in owners)

@@ -354,8 +354,12 @@ def bucket(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("answer", "verbs"),
-    [("cut", "read fetch"), ("page", "list"), ("circle", "read fetch list put")]
-    + [("AKIATOLD secret", "read fetch list put")],
+    [
+        ("cut", "read fetch"),
+        ("page", "put"),
+        ("circle", "read fetch list put"),
+        ("AKIATOLD secret", "read fetch list put"),
+    ],
 )
 def test_an_odd_servers_answer_ends_in_one_line(answer, verbs, bucket, monkeypatch, tmp_path):
     monkeypatch.setattr(Odd, "answers", repeat(ODD[answer]))
