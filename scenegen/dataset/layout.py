@@ -20,8 +20,8 @@ from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.dataset.rules import REJECTED, check
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
 from scenegen.files import open_bounded, pread, sha256_in, size_of
+from scenegen.mirrors import fetch
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
-from scenegen.stores import fetch
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""

@@ -15,7 +15,8 @@ from scenegen.dataset.rules import pattern_of
 from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.files import LOCATED, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.stores import Store, fetch_all, is_remote, make_mirror, note_files
+from scenegen.mirrors import fetch_all, make_mirror, note_files
+from scenegen.stores import Store, is_remote
 
 os.environ.setdefault(
     "HF_HUB_DISABLE_TELEMETRY", "1"

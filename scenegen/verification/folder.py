@@ -15,12 +15,12 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.trust import Manifest
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
+from scenegen.mirrors import fetch
 from scenegen.recipe import preset
 from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
-from scenegen.stores import fetch
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,

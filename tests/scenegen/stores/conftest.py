@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.served import Served
-from scenegen import stores
+from scenegen import mirrors, stores
 
 
 @pytest.fixture
@@ -29,4 +29,4 @@ def store(server):
 def forget():
     """Have this process be as a new one: nothing is opened."""
     stores._connect.cache_clear()
-    stores._read_note.cache_clear()
+    mirrors._read_note.cache_clear()

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from scenegen import load, stores
+from scenegen import load
 from scenegen.dataset.locate import locate
 from scenegen.errors import BrokenError, DatasetError, StoreError
-from scenegen.stores import Store, fetch, fetch_all, make_mirror, mirror_of, note_files
+from scenegen.mirrors import ROOM, fetch, fetch_all, make_mirror, mirror_of, note_files
+from scenegen.stores import Store
 from scenegen.verification import verify
 from tests.conftest import contents
 from tests.scenegen.conftest import names
@@ -94,17 +95,17 @@ def test_another_process_finds_a_mirror_by_its_folder(mirrored):
 
 def test_what_was_used_longest_ago_makes_room(mirrored, monkeypatch):
     folder, content = mirrored
-    monkeypatch.setenv(stores.ROOM, str(2.5 * SIZE / 1e9))
+    monkeypatch.setenv(ROOM, str(2.5 * SIZE / 1e9))
     for turn, name in enumerate(["a.h5", "b.h5", "a.h5", "c.h5", "d.h5", "a.h5"]):
         fetch(folder / name)
         assert (folder / name).read_bytes() == content[name]
         os.utime(folder / name, ns=(turn, turn))
     assert names(folder) == {"dataset.json", "d.h5", "a.h5"}
-    with pytest.raises(StoreError, match=f"made room for others.*{stores.ROOM}"):
+    with pytest.raises(StoreError, match=f"made room for others.*{ROOM}"):
         fetch_all(folder, content)
-    monkeypatch.setenv(stores.ROOM, "much")
+    monkeypatch.setenv(ROOM, "much")
     (folder / "b.h5").unlink(missing_ok=True)
-    with pytest.raises(StoreError, match=f"{stores.ROOM}=much: expected gigabytes, such as 50"):
+    with pytest.raises(StoreError, match=f"{ROOM}=much: expected gigabytes, such as 50"):
         fetch(folder / "b.h5")
 
 
