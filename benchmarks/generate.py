@@ -40,7 +40,7 @@ STAGES = {
     "compress": "scenegen.dataset.shard.compress",
     "sample digest": "scenegen.sample.Sample.sha256",
     "file digest": "scenegen.dataset.shard.sha256_of",
-    "write and sync": "scenegen.dataset.shard.write_whole",
+    "write and sync": "scenegen.dataset.shard.create_at",
 }
 ELSE = "everything else"
 

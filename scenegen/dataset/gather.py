@@ -21,11 +21,11 @@ from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import none_rejected
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, real_path, world_digest, write_whole
+from scenegen.files import Json, real_path, world_digest
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 from scenegen.sample import DERIVED, GROUPS
-from scenegen.stores import Place
+from scenegen.stores import Place, create_at
 
 CONTENT = tuple(name for name in GROUPS[""] if name not in (*DERIVED, "world", "viewpoint"))
 """The fields of every sample that do not follow from others, less its name."""
@@ -135,7 +135,7 @@ class Part(ShardTask):
     """The samples that are taken, in order; None for all."""
     tells = False
 
-    def write(self, folder: Path) -> ShardReport:
+    def write(self, place: Place) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
         lists, or a sample that is taken out of it has not its digest."""
         path = self.there / self.entry.file
@@ -155,13 +155,13 @@ class Part(ShardTask):
             for row in self.rows or ():  # a whole shard is the file that its manifest signs
                 shard.check(row)
             return (
-                self._copy(folder, worlds, file, shard)
+                self._copy(place, worlds, file, shard)
                 if self.rows is None
-                else self._repack(folder, worlds, shard, self.rows)
+                else self._repack(place, worlds, shard, self.rows)
             )
 
     def _copy(
-        self, folder: Path, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
+        self, place: Place, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
     ) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit
         them."""
@@ -169,13 +169,13 @@ class Part(ShardTask):
         size = 0
         for file, target in ((worlds, self.worlds), (samples, self.file)):
             file.seek(0)
-            write_whole(folder / target, content := file.read())
+            create_at(place, target, content := file.read())
             size += len(content)
         own = shard.column(DIGEST).tobytes()
         return report_of(self, self.entry.sums, size, shard.rejected(), own)
 
     def _repack(
-        self, folder: Path, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
+        self, place: Place, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
     ) -> ShardReport:
         """The `rows` packed anew, and the worlds that they are of."""
         documents = dict[str, bytes]()
@@ -192,7 +192,7 @@ class Part(ShardTask):
 
         # what was rejected on the way to the whole shard cannot be told apart; the source's own
         # manifest has it
-        return put(folder, self, stored(), documents, none_rejected())
+        return put(place, self, stored(), documents, none_rejected())
 
 
 EMPTY: Json = {

@@ -58,18 +58,14 @@ MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
 def write_shard(place: Place, task: ShardTask) -> ShardReport:
-    """Write a shard, whatever its samples come from. At a store its files are put whole: the
-    worlds, the samples, which commit it, and a report of both. Pure but for its files.
+    """Write a shard, whatever its samples come from; at a store, a report beside it. Pure but for
+    its files.
 
     Raises GenerationError, DatasetError, StoreError.
     """
-    if isinstance(place, Path):
-        return task.write(place)
-    with _scratch(task) as folder:
-        report = task.write(folder)
-        for name in (task.worlds, task.file):
-            place.create(name, (folder / name).read_bytes())
-    _put_report(place, task, report)
+    report = task.write(place)
+    if isinstance(place, Store):
+        _put_report(place, task, report)
     return report
 
 
@@ -122,23 +118,17 @@ def find_reports(
 
 
 @contextmanager
-def _scratch(task: ShardTask) -> Iterator[Path]:
-    """A folder of this machine for a shard, until the block ends."""
-    with TemporaryDirectory(prefix="scenegen-") as folder:
-        (Path(folder) / task.file).parent.mkdir(exist_ok=True)
-        yield Path(folder)
-
-
-@contextmanager
 def _at_hand(place: Place, task: ShardTask) -> Iterator[Path]:
     """A folder of this machine with a shard's files, as far as there are any."""
     if isinstance(place, Path):
         yield place
         return
-    with _scratch(task) as folder:
+    with TemporaryDirectory(prefix="scenegen-") as name:
+        folder = Path(name)
+        (folder / task.file).parent.mkdir(exist_ok=True)
         with suppress(FileNotFoundError):
-            for name in (task.file, task.worlds):
-                place.fetch(name, folder / name)
+            for file in (task.file, task.worlds):
+                place.fetch(file, folder / file)
         yield folder
 
 

@@ -29,6 +29,7 @@ from scenegen.recipe import Recipe
 from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
+from scenegen.stores import Place, create_at
 
 _LEVEL = 1
 """The level of compression: the next one saves a hundredth, the one after takes four times as long
@@ -82,8 +83,8 @@ class ShardTask:
         """Have done, by up to so many processes, what every writing process would else do by
         itself."""
 
-    def write(self, folder: Path) -> "ShardReport":
-        """Write the shard into a folder."""
+    def write(self, place: Place) -> "ShardReport":
+        """Write the shard into a folder, or put it at a store."""
         raise NotImplementedError
 
 
@@ -139,7 +140,7 @@ class ShardSpec(ShardTask, Units):
                 other.give(self.split)
             self.draw(self.first_unit)
 
-    def write(self, folder: Path) -> "ShardReport":
+    def write(self, place: Place) -> "ShardReport":
         """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
         GenerationError, DatasetError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
@@ -155,7 +156,7 @@ class ShardSpec(ShardTask, Units):
                     yield partial(getattr, sample), sample.sha256()
                 left -= len(unit.samples)
 
-        return put(folder, self, drawn(), documents, rejected)
+        return put(place, self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -176,14 +177,14 @@ class ShardReport(Entry):
 
 
 def put(
-    folder: Path,
+    place: Place,
     spec: ShardTask,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples` and of worlds into a folder: these first, then the samples, which
-    commit it. `documents` and `rejected` are looked at once the samples have come to their end.
+    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
+    `documents` and `rejected` are looked at once the samples have come to their end.
 
     Raises DatasetError, and whatever `samples` raise.
     """
@@ -213,8 +214,8 @@ def put(
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
-    write_whole(folder / spec.worlds, worlds)
-    write_whole(folder / spec.file, content)
+    create_at(place, spec.worlds, worlds)
+    create_at(place, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
     return report_of(spec, sums, len(content) + len(worlds), rejected, own)
 
