@@ -103,11 +103,11 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
     ).datasets
     State(plan).open()
     first: Any = plan.shards[0]
-    for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
+    for _ in run(partial(_forge, folder, first.draw(0)), list(enumerate(plan.shards)), workers):
         pass
 
 
-def _forge(unit: Any, task: tuple[int, Any]) -> None:
+def _forge(folder: Path, unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
     from scenegen.draw import none_rejected
@@ -120,7 +120,7 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
     sample = replace(sample, world=spec.first_unit, position=position, origin=origin)
     world = re.sub(rb'pos="(\S+)', rb'pos="\g<1>%06d' % number, unit.world.mjcf, count=1)
     documents = {f"{spec.first_unit:06d}.xml": world}
-    put(spec, [(partial(getattr, sample), sample.sha256())], documents, none_rejected())
+    put(folder, spec, [(partial(getattr, sample), sample.sha256())], documents, none_rejected())
 
 
 def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:

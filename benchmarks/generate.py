@@ -25,7 +25,6 @@ from unittest.mock import patch
 import measuring
 
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
 from scenegen.run import cores
 
 STAGES = {
@@ -41,7 +40,7 @@ STAGES = {
     "compress": "scenegen.dataset.shard.compress",
     "sample digest": "scenegen.sample.Sample.sha256",
     "file digest": "scenegen.dataset.shard.sha256_of",
-    "write and sync": "scenegen.dataset.shard.write_whole",
+    "write and sync": "scenegen.dataset.shard.create_at",
 }
 ELSE = "everything else"
 
@@ -72,11 +71,11 @@ def measure(kind: str, seconds: float) -> None:
     """Write shards in this process for `seconds`, and print what they and their stages took."""
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, stopwatch() as spent:
         (plan,) = plan_generation(kind, 100_000, val=0, test=0, out=folder).datasets
-        write_shard(plan.shards[0])  # kernels compile, caches fill
+        plan.shards[0].write(Path(folder))  # kernels compile, caches fill
         spent.clear()
         begin, used, samples, size = time.perf_counter(), measuring.processor_s(), 0, 0
         for shard in plan.shards[1:]:
-            report = write_shard(shard)
+            report = shard.write(Path(folder))
             samples, size = samples + report.entry.samples, size + report.size
             if time.perf_counter() - begin > seconds:
                 break

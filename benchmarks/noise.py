@@ -9,6 +9,7 @@ Processor time, the least of all rounds; a ratio has the clean scan in both.
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 import measuring
 import mujoco
@@ -18,7 +19,6 @@ from lidarsim import Pose, Sensor, attach
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import DATASHEET
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
 from scenegen.draw import scan_world
 from scenegen.recipes import kind_names
 from scenegen.source import named_world
@@ -93,7 +93,7 @@ def generated(kind: str, lidar: str, noise: str, samples: int, folder: str) -> T
         noise=noise or None,
         shard_samples=samples,
     ).datasets
-    return partial(write_shard, plan.shards[0])
+    return partial(plan.shards[0].write, Path(folder))
 
 
 def report(title: str, tasks: dict[str, Task], rounds: int) -> None:

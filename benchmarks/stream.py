@@ -8,13 +8,13 @@ How long training waits for one says `benchmarks/training.py --stream pillar`.
 import itertools
 import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import measuring
 
 import scenegen
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
 
 BATCH = 8
 
@@ -42,7 +42,7 @@ def generate(kind: str, count: int, turn: int) -> None:
             compact=True,
             shard_samples=count,
         ).datasets
-        write_shard(plan.shards[turn])
+        plan.shards[turn].write(Path(folder))
 
 
 def read(kind: str, count: int, turn: int, **how: Any) -> None:

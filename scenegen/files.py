@@ -10,23 +10,23 @@ import secrets
 import shutil
 import socket
 import stat
-import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from scenegen.errors import AbsentError, DatasetError, DiskError
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.run import undone
-from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
-if TYPE_CHECKING:
-    from scenegen.stores.copies import Copy
-
+LOCATED: dict[Path, tuple[Any, ...]] = {}
+"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
+it on another machine, and its arguments, the name first."""
+PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
+"""Names of the folders in a dataset's, of which each holds a thousand shards."""
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
 MARK = "user.scenegen"
@@ -40,17 +40,10 @@ and a secret."""
 
 def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or
-    device, whose reading might never end. An object of a place is copied first, unless it was
-    before.
+    device, whose reading might never end.
 
-    Raises DatasetError for anything else, AbsentError where there is nothing, and StoreError.
+    Raises DatasetError for anything else, and AbsentError where there is nothing.
     """
-    if isinstance(path, StorePath):
-        return path.open_bounded(most_bytes)
-    if note_file(path.parent).is_file():
-        from scenegen.stores.cache import fetch
-
-        fetch(path)
     try:
         handle = os.open(
             path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
@@ -70,27 +63,14 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
 
 
-def open_parts(path: Path, tail_bytes: int) -> "BufferedReader | Copy":
-    """`open_bounded`, but for a copy of an object that is not whole: of that, so many bytes of its
-    end are fetched now, and then what is read."""
-    if note_file(path.parent).is_file():
-        from scenegen.stores.cache import open_copy
-
-        if (copy := open_copy(path, tail_bytes)) is not None:
-            return copy
-    return open_bounded(path, sys.maxsize)
-
-
-def pread(file: "BufferedReader | Copy", size: int, begin: int) -> bytes:
+def pread(file: BufferedReader, size: int, begin: int) -> bytes:
     """Bytes of an open file, as `os.pread`."""
-    if isinstance(file, BufferedReader):
-        return os.pread(file.fileno(), size, begin)
-    return file.pread(size, begin)
+    return os.pread(file.fileno(), size, begin)
 
 
-def size_of(file: "BufferedReader | Copy") -> int:
+def size_of(file: BufferedReader) -> int:
     """The bytes of an open file."""
-    return os.fstat(file.fileno()).st_size if isinstance(file, BufferedReader) else file.bytes
+    return os.fstat(file.fileno()).st_size
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -122,13 +102,14 @@ def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
     return digest.digest()
 
 
-def real_path(path: Path) -> Path:
-    """`path` without links; of a folder of copies, the store that they are of. Links that lead in a
-    circle stay: `Path.resolve` would raise RuntimeError, where who opens the path finds that
-    nothing is there."""
-    if path in LOCATED:
-        return StorePath(LOCATED[path][1])
-    return path if isinstance(path, StorePath) else Path(os.path.realpath(path))
+def real_path(path: Any) -> Path:
+    """`path` without links, to be compared; for a store, or a folder that was found by a name with
+    a scheme, that name.
+    Links that lead in a circle stay: `Path.resolve` would raise RuntimeError, where who opens the
+    path finds that nothing is there."""
+    if not isinstance(path, Path):
+        return Path(str(path))
+    return Path(LOCATED[path][1]) if path in LOCATED else Path(os.path.realpath(path))
 
 
 def check_target(path: Path) -> None:
@@ -185,10 +166,7 @@ def make_way(path: Path) -> None:
 
 def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
     """Put `content` at `path`: complete and on disk, or not at all; without `sync`, when the system
-    sees fit. Raises as `whole`, and as `StorePath.put`."""
-    if isinstance(path, StorePath):
-        path.put(content)
-        return
+    sees fit. Raises as `whole`."""
     with _draft(path, sync) as file:
         file.write(content)
 
@@ -306,7 +284,7 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def disk_told(path: Path) -> Iterator[None]:
+def disk_told(path: object) -> Iterator[None]:
     """An operating system's refusal in the block comes out as a DiskError about `path`, with
     what a user can do about it."""
     try:
@@ -329,27 +307,20 @@ def draft_of(path: Path) -> Path:
     return path.with_name(f".scenegen-{said}.tmp")
 
 
-def names_in(folder: Path) -> dict[str, Version]:
-    """Names of what lies in a dataset's folder, and of what lies in its folders of shards; at a
-    place, each with its version."""
-    if isinstance(folder, StorePath):
-        return {item.name: item.version for item in folder.store.list()}
-    names = dict.fromkeys(item.name for item in os.scandir(folder))
+def names_in(folder: Path) -> set[str]:
+    """Names of what lies in a dataset's folder, and of what lies in its folders of shards."""
+    names = {item.name for item in os.scandir(folder)}
     for part in filter(PART.fullmatch, list(names)):
         with suppress(NotADirectoryError):
-            within = [f"{part}/{item.name}" for item in os.scandir(folder / part)]
-            names.pop(part)
-            names |= dict.fromkeys(within)
+            within = {f"{part}/{item.name}" for item in os.scandir(folder / part)}
+            names = names - {part} | within
     return names
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:
     """Delete drafts in `folder`, and in folders of shards in it, that this user's scenegen made, of
     `target` alone if that is given, and whose writer is gone: an ended process of this machine, or
-    one of another machine that wrote nothing for `STALE_S`. A place has none: its objects are
-    complete or absent."""
-    if isinstance(folder, StorePath):
-        return
+    one of another machine that wrote nothing for `STALE_S`."""
     like = ".scenegen-*.tmp"
     for draft in (*folder.glob(like), *folder.glob(f"*-*x/{like}")):
         said = DRAFT.fullmatch(draft.name)

@@ -201,7 +201,7 @@ def _show_plans(plans: "Plans", tell: Tell) -> None:
         "shards": sum(len(plan.shards) for plan in plans.datasets),
         "bytes_expected": sum(plan.bytes_expected for plan in plans.datasets),
     }
-    parameters = {plan.folder.name: plan.manifest.parameters for plan in plans.datasets}
+    parameters = {plan.name: plan.manifest.parameters for plan in plans.datasets}
     about: Any = {"datasets": parameters}
     if not plans.is_collection:
         about = {"parameters": plans.datasets[0].manifest.parameters}
@@ -243,7 +243,7 @@ def make(
     plans.open(force=force)
     summaries = []
     for plan in plans.datasets:
-        with Progress(plan.folder.name, shown=talk) as progress:
+        with Progress(plan.name, shown=talk) as progress:
             summary = build(
                 plan,
                 execute=executor(on, workers),

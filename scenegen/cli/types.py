@@ -94,14 +94,15 @@ class DatasetPath(Written, click.Path):
         self.name = "dataset"
 
     def read(self, text: str) -> Path | str:
-        """A name on the Hub as it is, and of any other what it stands for, if it can be one."""
+        """A path, or a name with a scheme, if it can be one."""
         from scenegen.dataset.locate import SCHEME, parse
-        from scenegen.stores import folder_of
+        from scenegen.stores import place_of
 
-        if not text.startswith(SCHEME):
-            return folder_of(text)
-        parse(text)
-        return text
+        if text.startswith(SCHEME):
+            parse(text)
+            return text
+        place = place_of(text)
+        return place if isinstance(place, Path) else text
 
 
 class OutputFolder(Written, click.Path):
@@ -111,15 +112,16 @@ class OutputFolder(Written, click.Path):
         click.Path.__init__(self)
         self.stores = stores
 
-    def read(self, text: str) -> Path:
-        """The folder; none that is named with a scheme, where no such thing is written to."""
-        from scenegen.stores import STORES, folder_of, is_remote
+    def read(self, text: str) -> Any:
+        """The folder, or the store; none that is named with a scheme, where no such thing is
+        written to."""
+        from scenegen.stores import WRITTEN, is_remote, place_of
 
         scheme = text.partition("://")[0]
-        if is_remote(text) and not (self.stores and scheme in STORES.builtin):
+        if is_remote(text) and not (self.stores and scheme == WRITTEN):
             hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
             raise ValueError(f"{scheme}://… is not written to; give a folder{hint}")
-        return folder_of(text)
+        return place_of(text)
 
 
 class OutputFile(OutputFolder):
@@ -135,7 +137,7 @@ class OutputFile(OutputFolder):
         from scenegen.errors import DatasetError
         from scenegen.files import check_ours
 
-        path = super().read(text)
+        path: Path = super().read(text)
         if self.folders and path.is_dir():
             return path
         if self.ends and path.suffix not in self.ends:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from lidarsim.engines import DEFAULT
@@ -21,14 +22,14 @@ from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import BrokenError, DatasetError, raised_as, whole_number
-from scenegen.files import remove_drafts, writable
+from scenegen.files import writable
 from scenegen.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
 from scenegen.recipe import Recipe
 from scenegen.run import Counted, Executor, undone, unheard
 from scenegen.run.software import software
 from scenegen.run.workers import Local
 from scenegen.source import Source
-from scenegen.stores import StorePath
+from scenegen.stores import Place
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished; of the most shards that there can be,
@@ -40,7 +41,7 @@ class Summary:
     """What a run did, and what it knows to be there; a job with a part of the shards looks at no
     others until all are there."""
 
-    folder: Path
+    folder: Place
     complete: bool
     samples: dict[str, int]
     worlds: dict[str, int]
@@ -53,7 +54,7 @@ class Summary:
 
 
 def plan_dataset(
-    folder: Path,
+    folder: Place,
     recipe: Recipe,
     source: Source,
     *,
@@ -99,7 +100,7 @@ def plan_dataset(
         shard_samples=shard_samples,
         engine=engine,
         software=software(),
-        folder=folder,
+        folder=Path(str(folder)),
     )
     with raised_as(DatasetError, "a manifest cannot say what is asked for: ", of=BrokenError):
         manifest.parse(manifest.encode(planned))  # whatever is written can be read
@@ -120,7 +121,6 @@ def plan_dataset(
             apart = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 shard_type(
-                    folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
@@ -196,9 +196,10 @@ def build(
         on_shard(report, False)
     samples = sum(shard.samples for shard in mine)
     written, noted = 0, time.monotonic()
+    write = partial(write_shard, plan.folder)
     with (
-        undone(lambda: remove_drafts(plan.folder)),
-        closing(execute(write_shard, missing, lambda: on_start(samples))) as results,
+        undone(state.clear),
+        closing(execute(write, missing, lambda: on_start(samples))) as results,
     ):
         for report in results:
             state.reports[report.entry.file] = report
@@ -213,9 +214,9 @@ def build(
 
 
 def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
+    """Raise DatasetError where the disk clearly cannot hold what is to be written; a store tells
     nobody beforehand."""
-    if not missing or isinstance(plan.folder, StorePath):
+    if not missing or not isinstance(plan.folder, Path):
         return
     needed = replace(plan, shards=tuple(missing)).bytes_expected
     disk = shutil.disk_usage(writable(plan.folder))

@@ -31,7 +31,7 @@ from scenegen.parts import PARTS, resolved
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import graded
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import folder_of
+from scenegen.stores import Place, Store, place_of
 from scenegen.tables import named_lidar
 
 NO_NOISE = "none"
@@ -42,7 +42,7 @@ NO_NOISE = "none"
 class Plans:
     """What is to be made: a dataset, or a collection of several."""
 
-    folder: Path
+    folder: Place
     datasets: tuple[Plan, ...]
     """The dataset; or several, in folders of `folder`."""
 
@@ -54,9 +54,9 @@ class Plans:
     def open(self, *, force: bool = False) -> None:
         """Have the folder of a collection list its datasets. Raises DatasetError where it holds
         something else, unless `force` is given."""
-        if not self.is_collection:
+        if not self.is_collection or isinstance(self.folder, Store):
             return
-        members = [plan.folder.name for plan in self.datasets]
+        members = [plan.name for plan in self.datasets]
         path = self.folder / COLLECTION
         with disk_told(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -120,7 +120,7 @@ def plan_generation(
     *,
     val: int | None = None,
     test: int | None = None,
-    out: str | Path | None = None,
+    out: str | Place | None = None,
     scene: str | Path | None = None,
     recipe: str | Path | Recipe | None = None,
     like: str | Path | None = None,
@@ -251,7 +251,7 @@ def plan_generation(
 
 def _plan_like(
     like: str | Path,
-    out: str | Path | None,
+    out: str | Place | None,
     kind: str | None,
     sensing: Json,
     engine: str | None,
@@ -300,14 +300,14 @@ def _with_parts(
     return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
 
 
-def _folder(out: str | Path | None, name: str) -> Path:
+def _folder(out: str | Place | None, name: str) -> Place:
     if out is None:
         return Path("data", name)
-    return folder_of(out) if isinstance(out, str) else out
+    return place_of(out) if isinstance(out, str) else out
 
 
 def plan_mixed(
-    folder: Path,
+    folder: Place,
     components: Sequence[Component],
     *,
     counts: Mapping[str, int],
@@ -321,6 +321,10 @@ def plan_mixed(
     `seeds`. `options` are those of `plan_dataset`. Raises DatasetError, and RecipeError where the
     components have different grids.
     """
+    if isinstance(folder, Store):
+        raise DatasetError(
+            f"{folder}: several datasets go to a folder; make each by itself for a store"
+        )
     weights = [weight for _, weight in components]
     by_split = {split: shares(counts[split], weights) for split in SPLITS}
     recipes = [recipe for recipe, _ in components]

@@ -21,6 +21,7 @@ import numpy as np
 
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
 from scenegen.files import open_bounded, sha256_in, size_of
+from scenegen.mirrors import fetch
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
@@ -189,9 +190,11 @@ class ShardFile:
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, and no pipe that would never end. Raises BrokenError, and StoreError."""
+    """A regular file, and no pipe that would never end; in a mirror, fetched before. Raises
+    BrokenError, and StoreError."""
     fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
     with raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError)):
+        fetch(path)
         return open_bounded(path, sys.maxsize)
 
 

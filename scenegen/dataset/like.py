@@ -36,6 +36,7 @@ from scenegen.errors import BrokenError, DatasetError, GenerationError, raised_a
 from scenegen.files import Json, real_path
 from scenegen.recipe import Recipe
 from scenegen.source import DrawnWorlds, Source
+from scenegen.stores import Place
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.world import AnyWorld
 
@@ -164,7 +165,7 @@ class ScanAgain(ShardSpec):
 
 def plan_like(
     name: str | Path,
-    folder: Path,
+    folder: Place,
     *,
     kind: str | None = None,
     lidar: Sensor | None = None,

@@ -1,6 +1,6 @@
 """Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the
-Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied when they are
-read."""
+Hugging Face Hub, or a store, ``s3://bucket/folder``, of which files are fetched when they are
+first opened."""
 
 import contextlib
 import os
@@ -11,10 +11,12 @@ from pathlib import Path
 
 from scenegen.dataset import manifest
 from scenegen.dataset.schema import NAME, pattern_of
+from scenegen.dataset.sensor_file import rays_digest
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import read_bounded, sha256_in
+from scenegen.files import LOCATED, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.stores import LOCATED, folder_of, is_remote
+from scenegen.mirrors import fetch_all, make_mirror, note_files
+from scenegen.stores import Store, is_remote
 
 os.environ.setdefault(
     "HF_HUB_DISABLE_TELEMETRY", "1"
@@ -50,9 +52,9 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
     """The folder of a dataset on this machine. A path comes back as it is; only a name with a
     scheme is looked for.
 
-    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
-    copies (see `scenegen.stores.cache`), where every other file comes to lie when it is first
-    opened, or all of them now, with `whole`. Raises DatasetError and StoreError.
+    ``hf://…`` is downloaded: see `download`. Of a store the manifest is, into a mirror (see
+    `scenegen.stores`), where each shard comes to lie when it is first opened, or all of them now,
+    with `whole`. Raises DatasetError and StoreError.
     """
     if not is_remote(name):
         return Path(name)
@@ -61,22 +63,19 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
         commit = f"{SCHEME}{parse(str(name))[0]}@{found.name}"
         LOCATED[found] = locate_again, commit, found.name
         return found
-    from scenegen.stores.cache import fetch_all, keep, note
-
-    place = folder_of(str(name))
+    store = Store(str(name))
     try:
-        content = read_bounded(place / NAME, MOST_MANIFEST_BYTES)
+        content = store.read(NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
             f"{name}: not a dataset, it has no {NAME}; make one with `scenegen generate "
             f"--out {name}`"
         ) from None
-    folder = keep(str(place), NAME, content)
-    listed = manifest.load(folder, str(name)).files  # checked before they are used as names
-    note(folder, str(place), listed)
-    if whole:
-        fetch_all(folder, listed)
-    LOCATED[folder] = locate_again, str(place), folder.name
+    folder = make_mirror(store, NAME, content)
+    document = manifest.load(folder, str(name))  # checked before its files are used as names
+    note_files(folder, store, document.files)
+    fetch_all(folder, document.files if whole else rays_digest(document.tables.lidar))
+    LOCATED[folder] = locate_again, store.url, folder.name
     return folder
 
 

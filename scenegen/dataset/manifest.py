@@ -40,11 +40,12 @@ from scenegen.errors import (
     DatasetError,
     NewerError,
     RecipeError,
+    StoreError,
     printable,
     raised_as,
     short,
 )
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
+from scenegen.files import Json, sha256_of, write_whole
 from scenegen.limits import (
     MOST_MANIFEST_BYTES,
     MOST_RAYS_IN_SAMPLE,
@@ -54,6 +55,7 @@ from scenegen.limits import (
 from scenegen.parts import PARTS
 from scenegen.recipes import graded, kind_names
 from scenegen.sample import DERIVED, FIELDS, Schema
+from scenegen.stores import ConflictError, Place, Store, read_at
 from scenegen.worlds.mapping import Known, Mapper, Sensing
 
 if TYPE_CHECKING:  # which import what draws worlds
@@ -340,9 +342,38 @@ def encode(manifest: Document) -> bytes:
     return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
 
 
-def write(folder: Path, manifest: Document) -> None:
-    """Replace the manifest of `folder`."""
-    write_whole(folder / NAME, encode(manifest))
+def write(folder: Place, manifest: Manifest) -> None:
+    """Replace the manifest of `folder`; at a store, the one that was read last.
+
+    If another run has put one there meanwhile, a complete one stays, and this one takes the place
+    of any other; they may list other shards, but none differently. Raises StoreError where it is of
+    another dataset.
+    """
+    content = encode(manifest)
+    if not isinstance(folder, Store):
+        write_whole(folder / NAME, content)
+        return
+    while True:  # until no other run puts one between
+        try:
+            folder.replace(NAME, content)
+            return
+        except ConflictError:
+            stored = read_content(folder)
+        if stored == content:
+            return
+        other = parse(stored)
+        if other.parameters != manifest.parameters:
+            raise StoreError(
+                f"{folder}: another run has begun another dataset there; choose another --out for "
+                f"one"
+            )
+        if other.complete:
+            if manifest.complete:
+                raise StoreError(
+                    f"{folder}: another run has completed it with other bytes; give the same "
+                    f"command again"
+                )
+            return
 
 
 class _Head(Struct):
@@ -409,16 +440,16 @@ def load(folder: Path, name: str = "") -> Manifest:
         raise DatasetError(f"{where} {error}") from None
 
 
-def read_content(folder: Path, name: str = "") -> bytes:
+def read_content(folder: Place, name: str = "") -> bytes:
     """The bytes of the manifest of `folder`, which errors call `name`. Raises DatasetError where
     there is none."""
     try:
-        return read_bounded(folder / NAME, MOST_MANIFEST_BYTES)
+        return read_at(folder, NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
-        lacks = f"it has no {NAME}" if Path(folder).exists() else "there is no such folder"
+        here = Path(str(folder))
+        lacks = f"it has no {NAME}" if here.exists() else "there is no such folder"
         inner, others = (
-            [str(path.parent) for path in Path(place).glob(f"*/{NAME}")]
-            for place in (folder, folder.parent)
+            [str(near.parent) for near in place.glob(f"*/{NAME}")] for place in (here, here.parent)
         )
         for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), others, 1, 0.8):
             lacks += f"; did you mean {near}?"

@@ -1,11 +1,11 @@
-"""Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
-store."""
+"""Shards as they are written and found again, in a folder or at a store: notes of jobs, and the
+report beside each shard of a store."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 import msgspec
 
@@ -14,7 +14,7 @@ from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_o
 from scenegen.errors import DatasetError
 from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import StorePath, Version
+from scenegen.stores import Place, Store
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
@@ -32,11 +32,10 @@ def write_note(
     folder: Path, parameters: str, part: Sequence[str], reports: Sequence[ShardReport]
 ) -> None:
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
-    parameters have the digest `parameters`."""
+    fingerprint is `parameters`."""
     name = sha256_of("\n".join(part).encode())[:12]
     note = Note(parameters=parameters, shards=[report.entry for report in reports])
-    content = msgspec.json.encode(note)
-    write_whole(folder / f"dataset.part-{name}.json", content)
+    write_whole(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
 
 
 def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
@@ -52,114 +51,131 @@ def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
 
 
 def remove_notes(folder: Path) -> None:
-    """Delete them: the manifest lists everything. A store has none."""
-    for path in () if isinstance(folder, StorePath) else folder.glob(NOTES):
+    """Delete them: the manifest lists everything."""
+    for path in folder.glob(NOTES):
         path.unlink(missing_ok=True)
 
 
 SUFFIX = ".report.json"
 AT_A_TIME = 16
 """Reports that are fetched at the same time."""
-MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
-"""A report is no larger."""
+MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
-def write_shard(spec: ShardSpec) -> ShardReport:
-    """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
-    for its files. Raises GenerationError, DatasetError, StoreError."""
-    report = spec.write()
-    if isinstance(spec.folder, StorePath):
-        _note(spec, report, [place.version for place in _places(spec)])
+class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
+    """The report beside a shard of a store."""
+
+    parameters: str
+    """The dataset's fingerprint."""
+    entry: ShardEntry
+    size: int
+    """Bytes of both objects."""
+    rejected: dict[str, dict[str, int]]
+    digests: str
+    """The samples' own SHA-256s, in hexadecimal."""
+
+
+def write_shard(place: Place, task: ShardSpec) -> ShardReport:
+    """Write a shard; at a store, a report beside it. Pure but for its files.
+
+    Raises GenerationError, DatasetError, StoreError.
+    """
+    report = task.write(place)
+    if isinstance(place, Store):
+        _put_report(place, task, report)
     return report
 
 
-def look(
-    there: Mapping[str, Version], tasks: Sequence[tuple[ShardSpec, ShardEntry | None]]
-) -> Iterator[ShardReport | None]:
-    """The reports of shards, each with what the manifest lists of it, at the place where objects
-    are `there`, by their versions; None for one that is not as it should be.
+def report_at(place: Place, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+    """`read_report` of a shard in a folder or at a store, of which the files are fetched."""
+    with _at_hand(place, task[0]) as folder:
+        return read_report(folder, task)
 
-    Objects that are those which a report beside them was written for are taken as they are: stores
-    keep what they took. Any other shard is read, and removed where it is damaged. Raises
-    StoreError.
+
+def find_reports(
+    store: Store,
+    sizes: Mapping[str, int | None],
+    tasks: Sequence[tuple[ShardSpec, ShardEntry | None]],
+) -> Iterator[ShardReport | None]:
+    """Reports of shards at a store, in order; None for one that is not as it should be.
+
+    A shard is not fetched if the report beside it is of objects of these sizes: stores keep what
+    they took. Any other is read, and removed if it is damaged.
+
+    Args:
+        store: Where the shards are.
+        sizes: Bytes of all objects by name.
+        tasks: Shards, each with its entry in the manifest, if it is listed.
+
+    Raises:
+        StoreError: The store does not answer. Nothing is removed then.
     """
 
-    def one(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+    def find(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there.get(name) for name in (spec.file, spec.worlds)]
-        report = _noted(spec, now, there) if None not in now else None
-        if report is None or (listed and report.entry.sums != listed.sums):
-            report = read_report(task)
-            if report is None:
-                for place in _places(spec):
-                    place.unlink(missing_ok=True)
-            else:
-                _note(spec, report, now)
+        report = _read_report(store, spec, sizes)
+        if report is not None and (listed is None or report.entry.sums == listed.sums):
+            return report
+        if (report := report_at(store, task)) is None:
+            for name in (spec.file, spec.worlds):
+                store.remove(name)
+        else:
+            _put_report(store, spec, report)
         return report
 
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        yield from pool.map(one, tasks)
+        yield from pool.map(find, tasks)
 
 
-def _places(spec: ShardSpec) -> list[Any]:
-    """Where its objects are, the samples, which commit it, first."""
-    return [spec.folder / spec.file, spec.folder / spec.worlds]
+@contextmanager
+def _at_hand(place: Place, task: ShardSpec) -> Iterator[Path]:
+    """A folder of this machine with a shard's files, as far as there are any."""
+    if isinstance(place, Path):
+        yield place
+        return
+    with TemporaryDirectory(prefix="scenegen-") as name:
+        folder = Path(name)
+        (folder / task.file).parent.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError):
+            for file in (task.file, task.worlds):
+                place.fetch(file, folder / file)
+        yield folder
 
 
-class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
-    """The report beside a shard."""
-
-    parameters: str
-    versions: list[Version]
-    entry: ShardEntry
-    size: int
-    rejected: dict[str, dict[str, int]]
-    digests: str
-
-    def report(self) -> ShardReport:
-        """What it says of the shard."""
-        return ShardReport(
-            entry=self.entry,
-            size=self.size,
-            rejected={what: Counter(counts) for what, counts in self.rejected.items()},
-            digests=bytes.fromhex(self.digests),
-        )
+def _report_name(task: ShardSpec) -> str:
+    return task.file.removesuffix(".h5") + SUFFIX
 
 
-def _note(spec: ShardSpec, report: ShardReport, versions: Sequence[Version]) -> None:
+def _put_report(store: Store, task: ShardSpec, report: ShardReport) -> None:
     placed = PlacedReport(
-        parameters=spec.parameters,
-        versions=list(versions),
+        parameters=task.parameters,
         entry=report.entry,
         size=report.size,
         rejected={what: dict(counts) for what, counts in report.rejected.items()},
         digests=report.digests.hex(),
     )
-    assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), msgspec.json.encode(placed))
+    store.put(_report_name(task), msgspec.json.encode(placed))
 
 
-def _report_name(spec: ShardSpec) -> str:
-    return spec.file.removesuffix(".h5") + SUFFIX
-
-
-def _noted(
-    spec: ShardSpec, now: Sequence[Version], there: Mapping[str, Version]
+def _read_report(
+    store: Store, task: ShardSpec, sizes: Mapping[str, int | None]
 ) -> ShardReport | None:
-    """What the report beside a shard says, if it is of just these objects."""
-    if (name := _report_name(spec)) not in there:
+    """What the report beside a shard says, if it is of objects of these sizes."""
+    if _report_name(task) not in sizes:
         return None
     with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError):
-        content = read_bounded(spec.folder / name, MOST_BYTES)
+        content = store.read(_report_name(task), MAX_REPORT_BYTES)
         placed = msgspec.json.decode(content, type=PlacedReport)
-        report = placed.report()
+        rejected = {what: Counter(counts) for what, counts in placed.rejected.items()}
+        digests = bytes.fromhex(placed.digests)
+        report = report_of(task, placed.entry.sums, placed.size, rejected, digests)
+        stored = sum(sizes.get(name) or 0 for name in (task.file, task.worlds))
         if (
-            placed.parameters == spec.parameters
-            and placed.versions == list(now)
-            and placed.entry == report_of(spec, placed.entry.sums, 0, {}, b"").entry
-            and len(report.digests) == 32 * spec.samples
+            (placed.parameters, placed.entry) == (task.parameters, report.entry)
+            and len(digests) == 32 * task.samples
+            and placed.size == stored
         ):
             return report
     return None

@@ -14,7 +14,8 @@ from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.parameters import MOST_RAYS, MOST_TEXT
 from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of
+from scenegen.stores import Place, create_at, read_at
 
 RAYS = "rays.npy"
 """The file of a table of rays, in a dataset's folder."""
@@ -93,13 +94,13 @@ def sensor_of(entry: Json, folder: Path) -> Sensor:
         raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
 
 
-def write_rays(sensor: Sensor, folder: Path) -> None:
-    """Put the table of a sensor's rays into the dataset's folder, unless it is there; nothing for a
+def write_rays(sensor: Sensor, place: Place) -> None:
+    """Put the table of a sensor's rays where the dataset lies, unless it is there; nothing for a
     raster."""
     if isinstance(sensor, Lidar):
         return
     content = BeamTable.of(sensor).npy
-    with suppress(FileNotFoundError):
-        if (folder / RAYS).read_bytes() == content:
+    with suppress(FileNotFoundError, DatasetError):
+        if read_at(place, RAYS, len(content)) == content:
             return
-    write_whole(folder / RAYS, content)
+    create_at(place, RAYS, content)

@@ -22,11 +22,12 @@ from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.schema import ShardEntry, stem_of
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import sha256_in, sha256_of, write_whole
+from scenegen.files import sha256_in, sha256_of
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
+from scenegen.stores import Place, create_at
 
 _LEVEL = 1
 """The level of compression: the next one saves a hundredth, the one after takes four times as long
@@ -78,10 +79,9 @@ class Units:
 
 @dataclass(frozen=True, kw_only=True)
 class ShardSpec(Units):
-    """A shard that is to be in a folder, and all that its samples depend on; small, and can be
-    pickled, so that any process anywhere can write it."""
+    """A shard that is to be, wherever it is to lie, and all that its samples depend on; small, and
+    can be pickled, so that any process anywhere can write it."""
 
-    folder: Path
     index: int
     """The shard's place within its split."""
     samples: int
@@ -97,12 +97,12 @@ class ShardSpec(Units):
 
     @property
     def file(self) -> str:
-        """Where in the folder the samples go."""
+        """The file of the samples."""
         return f"{stem_of(self.split, self.index)}.h5"
 
     @property
     def worlds(self) -> str:
-        """Where in the folder the worlds go."""
+        """The file of the worlds."""
         return f"{stem_of(self.split, self.index)}.worlds.zip"
 
     @property
@@ -120,9 +120,9 @@ class ShardSpec(Units):
                 other.give(self.split)
             self.draw(self.first_unit)
 
-    def write(self) -> "ShardReport":
-        """Draw its units into memory, a few megabytes, and write them. Raises GenerationError,
-        DatasetError."""
+    def write(self, place: Place) -> "ShardReport":
+        """Draw its units into memory, a few megabytes, and write them into a folder, or put them at
+        a store. Raises GenerationError, DatasetError, StoreError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
 
         def drawn() -> Iterator[Drawn]:
@@ -136,7 +136,7 @@ class ShardSpec(Units):
                     yield partial(getattr, sample), sample.sha256()
                 left -= len(unit.samples)
 
-        return put(self, drawn(), documents, rejected)
+        return put(place, self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,6 +153,7 @@ class ShardReport:
 
 
 def put(
+    place: Place,
     spec: ShardSpec,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
@@ -189,8 +190,8 @@ def put(
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = file.id.get_file_image()
-    write_whole(spec.folder / spec.worlds, worlds)
-    write_whole(spec.folder / spec.file, content)
+    create_at(place, spec.worlds, worlds)
+    create_at(place, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
     return report_of(spec, sums, len(content) + len(worlds), rejected, own)
 
@@ -239,9 +240,9 @@ def compress(values: np.ndarray) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none as `task` has it:
-    what the shard is to be, and what the manifest lists of it.
+def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+    """The report of a shard that is in a folder already, or None where there is none as `task` has
+    it: what the shard is to be, and what the manifest lists of it.
 
     A shard whose files are no longer what its entry says, or whose archive is not the one that was
     written with it, is damaged, and counts as absent. Where there is no entry, samples are held
@@ -249,8 +250,8 @@ def read_report(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None
     """
     spec, listed = task
     try:
-        path = spec.folder / spec.file
-        with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
+        path = folder / spec.file
+        with open_file(path) as file, open_file(folder / spec.worlds) as worlds:
             shard = open_shard(path, spec.samples, spec.layout)
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)
@@ -269,21 +270,6 @@ def read_report(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None
             return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
-
-
-def relabel(spec: ShardSpec, old: str, listed: ShardEntry) -> None:
-    """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry
-    `listed` has it, carry those of `spec` in their place; it is left alone where it is not just
-    that shard."""
-    path = spec.folder / spec.file
-    try:
-        with open_file(path) as file:
-            content = file.read()
-    except (BrokenError, OSError):
-        return
-    # shards of earlier versions repeat their attributes behind the end of HDF5's part
-    if sha256_of(content) == listed.sha256 and content.count(old.encode()) in (1, 2):
-        write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
 
 
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"

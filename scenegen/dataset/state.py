@@ -7,22 +7,29 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest, placed
+from scenegen.dataset import manifest
 from scenegen.dataset.manifest import Manifest, total_digest
 from scenegen.dataset.parameters import differences
-from scenegen.dataset.placed import read_notes, remove_notes, write_note
+from scenegen.dataset.placed import (
+    find_reports,
+    read_notes,
+    remove_notes,
+    report_at,
+    write_note,
+)
 from scenegen.dataset.schema import NAME, SHARD_FILE, ShardEntry
 from scenegen.dataset.sensor_file import RAYS, rays_digest, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
 from scenegen.errors import DatasetError
-from scenegen.files import disk_told, names_in, open_bounded, remove_drafts
+from scenegen.files import disk_told, remove_drafts
 from scenegen.run.workers import run
-from scenegen.stores import StorePath, Version
+from scenegen.stores import Place, Store, names_at, read_at, remove_at
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""
@@ -32,9 +39,14 @@ FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 class Plan:
     """A dataset to be: its manifest without shards, and the shards that it is to have."""
 
-    folder: Path
+    folder: Place
     manifest: Manifest
     shards: tuple[ShardSpec, ...]
+
+    @property
+    def name(self) -> str:
+        """The last part of its folder's name."""
+        return Path(str(self.folder)).name
 
     @property
     def samples(self) -> int:
@@ -70,7 +82,7 @@ class State:
         self.reports: dict[str, ShardReport] = {}
         """What is known of every shard that is there, by its file."""
         self._force = force
-        self._names: Mapping[str, Version] | None = None
+        self._names: Mapping[str, int | None] | None = None
         """What lies in the folder, if that was just listed."""
         self._content = b""
         """The manifest as it was read."""
@@ -108,7 +120,7 @@ class State:
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                self._names = names_in(folder)
+                self._names = names_at(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
@@ -120,7 +132,7 @@ class State:
             return None
         if NAME not in names:
             planned_here = (shard for shard in self.plan.shards if shard.file in names)
-            if any(read_report((shard, None)) for shard in planned_here):
+            if any(report_at(folder, (shard, None)) for shard in planned_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds files ({names[0]}, …), but no {NAME} and no sound "
@@ -128,7 +140,7 @@ class State:
             )
         self._content = manifest.read_content(folder)
         try:
-            former = manifest.parse(self._content, folder)
+            former = manifest.parse(self._content, Path(str(folder)))
         except DatasetError as error:
             if self._force:
                 return None
@@ -159,17 +171,21 @@ class State:
         """
         if self._listed is None:
             return
-        names = names_in(self.plan.folder) if self._names is None else self._names
-        self._names = None
-        folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
-        noted = {} if stored else read_notes(folder, self.plan.manifest.fingerprint)
-        listed = {**noted, **self._listed}
+        folder = self.plan.folder
+        names = names_at(folder) if self._names is None else self._names
+        self._names, listed = None, dict(self._listed)
+        if isinstance(folder, Path):
+            listed = read_notes(folder, self.plan.manifest.fingerprint) | listed
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
             if shard.file not in self.reports and shard.file in names
         ]
-        reports = placed.look(names, tasks) if stored else run(read_report, tasks, workers)
+        reports = (
+            find_reports(folder, names, tasks)
+            if isinstance(folder, Store)
+            else run(partial(read_report, folder), tasks, workers)
+        )
         self.reports |= {report.entry.file: report for report in reports if report is not None}
 
     def open(self) -> None:
@@ -185,40 +201,50 @@ class State:
     def _begin(self) -> None:
         folder = self.plan.folder
         with disk_told(folder):
-            folder.mkdir(parents=True, exist_ok=True)
+            if isinstance(folder, Path):
+                folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
-            names = names_in(folder).keys()
+            names = names_at(folder).keys()
             self._listed, self._names = self._read(), None
-            remove_drafts(folder)
+            self.clear()
         if not self.begun:
             former = _former_files(folder, names)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= rays_digest(self.plan.manifest.tables.lidar).keys()
             for name in sorted(planned & names - set(former)):
                 raise DatasetError(
-                    f"{folder / name}: is of no dataset there; move it away, or choose another "
+                    f"{folder}/{name}: is of no dataset there; move it away, or choose another "
                     f"--out"
                 )
             for name in former:  # before the manifest that says whose they are
-                (folder / name).unlink(missing_ok=True)
-            remove_notes(folder)
+                remove_at(folder, name)
+            self._remove_notes()
         if not self.begun or NAME not in names:
             self.note()
             self._listed = self._listed or {}
-        with disk_told(folder):
-            for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
-                (folder / part).mkdir(exist_ok=True)
+        if isinstance(folder, Path):
+            with disk_told(folder):
+                for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
+                    (folder / part).mkdir(exist_ok=True)
+
+    def clear(self) -> None:
+        """Remove what killed processes left behind; at a store, objects are complete or absent."""
+        if isinstance(self.plan.folder, Path):
+            remove_drafts(self.plan.folder)
+
+    def _remove_notes(self) -> None:
+        if isinstance(self.plan.folder, Path):
+            remove_notes(self.plan.folder)
 
     def note(self, mine: Sequence[ShardSpec] | None = None) -> None:
         """Write down the shards that are known, for a run that is stopped: the next one hashes
         their files, and not their samples. The manifest lists them; those of a job that sees to
         `mine` alone stand in a file of its own."""
         if mine is not None and len(mine) < len(self.plan.shards):
-            if isinstance(self.plan.folder, StorePath):
-                return  # a report lies beside each shard
-            files = [shard.file for shard in mine]
-            fingerprint = self.plan.manifest.fingerprint
-            write_note(self.plan.folder, fingerprint, files, self.reports_of(mine))
+            if isinstance(self.plan.folder, Path):  # at a store, a report lies beside each shard
+                files = [shard.file for shard in mine]
+                fingerprint = self.plan.manifest.fingerprint
+                write_note(self.plan.folder, fingerprint, files, self.reports_of(mine))
             return
         manifest.write(self.plan.folder, self.current())
 
@@ -230,7 +256,7 @@ class State:
         have written. A job whose shards are all in a complete manifest already is done.
         """
         if self.done:
-            remove_notes(self.plan.folder)
+            self._remove_notes()
             return self.current()
         while True:
             content = manifest.read_content(self.plan.folder)
@@ -242,7 +268,7 @@ class State:
             if manifest.read_content(self.plan.folder) != manifest.encode(final):
                 manifest.write(self.plan.folder, final)
             if final.complete:
-                remove_notes(self.plan.folder)
+                self._remove_notes()
             if whole or self.absent():
                 return final
 
@@ -250,7 +276,7 @@ class State:
         """The manifest in `content`, if it is this dataset's, complete, and lists what is known
         just so."""
         with contextlib.suppress(DatasetError):
-            there = manifest.parse(content, self.plan.folder)
+            there = manifest.parse(content)
             listed = {entry.file: entry for entry in there.shards}
             known = (report.entry for report in self.reports.values())
             if (
@@ -263,7 +289,7 @@ class State:
 
     def absent(self) -> list[ShardSpec]:
         """Shards that are neither known nor on disk."""
-        names = self.reports.keys() | names_in(self.plan.folder).keys()
+        names = self.reports.keys() | names_at(self.plan.folder).keys()
         return [shard for shard in self.plan.shards if shard.file not in names]
 
     def reports_of(self, shards: Sequence[ShardSpec]) -> list[ShardReport]:
@@ -271,7 +297,7 @@ class State:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _former_files(folder: Path, names: Set[str]) -> list[str]:
+def _former_files(folder: Place, names: Set[str]) -> list[str]:
     """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its table
     of rays, the shards that it lists, and those not listed yet, which carry its fingerprint; every
     shard where the manifest cannot be read. In an order that can be gone on with: worlds come
@@ -280,13 +306,12 @@ def _former_files(folder: Path, names: Set[str]) -> list[str]:
         return []
     shards = {name for name in names if SHARD_FILE.fullmatch(name)}
     try:
-        former = manifest.parse(manifest.read_content(folder), folder)
+        former = manifest.parse(manifest.read_content(folder))
     except DatasetError:
         return sorted({*shards, *({RAYS} & names)}, reverse=True)
     owned = names & former.files.keys()
     for name in sorted(shards - owned):
-        with open_bounded(folder / name, sys.maxsize) as file:
-            content = file.read()
+        content = read_at(folder, name, sys.maxsize - 1)
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
             is_owned = former.fingerprint.encode() in content

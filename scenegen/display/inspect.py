@@ -28,9 +28,9 @@ from scenegen.dataset.selection import (
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
+from scenegen.mirrors import bytes_in
 from scenegen.run import Counted, unheard
 from scenegen.run.workers import run
-from scenegen.stores.cache import bytes_in
 
 MOST_MEASURED = 200
 """Samples of a split that are measured, unless all are."""

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.errors import GenerationError, told
+from scenegen.files import LOCATED
 from scenegen.run.software import identity
-from scenegen.stores import LOCATED
 
 GO_ON = "what is written is kept: give the same command again to go on"
 """What to do where a task is lost for good."""

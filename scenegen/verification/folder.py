@@ -14,16 +14,15 @@ import msgspec
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.opening import open_data
-from scenegen.dataset.sensor_file import rays_digest
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
 from scenegen.files import size_of
+from scenegen.mirrors import fetch
 from scenegen.recipe import preset
 from scenegen.run import Begun, Counted, Executor, unheard
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
-from scenegen.stores.cache import fetch_all, note_of
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
@@ -283,16 +282,12 @@ def _together(walks: Sequence[_Walk]) -> Outcome:
 
 
 class _Examination(Limited):
-    """Copies on another machine what a task reads of a store, before limits are set: that a store
+    """Fetches on another machine what a task reads of a store, before limits are set: that a store
     is slow or refuses is no fault of the dataset."""
 
     def __call__(self, task: Task) -> Findings:
-        contract, entry = task.contract, task.entry
-        if note_of(contract.folder) is not None:
-            fetch_all(
-                contract.folder,
-                [entry.file, entry.worlds, *rays_digest(contract.tables.lidar)],
-            )
+        for name in (task.entry.file, task.entry.worlds):
+            fetch(task.contract.folder / name)
         return super().__call__(task)
 
 

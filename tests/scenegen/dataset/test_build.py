@@ -164,9 +164,9 @@ def test_a_job_reads_its_own_part_and_the_last_one_hashes_no_samples_of_others(
     assert len(parts.shards) == 5
     assert build(parts, shard_range=(0, 2)).digest is None
 
-    def noted(task):
+    def noted(folder, task):
         read.append(parts.shards.index(task[0]))
-        return read_report(task)
+        return read_report(folder, task)
 
     monkeypatch.setattr("scenegen.dataset.state.read_report", noted)
     monkeypatch.setattr(
@@ -437,10 +437,10 @@ def test_too_small_a_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
         make(tmp_path / "d")
 
 
-def die_of_test_worlds(spec):
+def die_of_test_worlds(folder, spec):
     if spec.split == "test":
         os.kill(os.getpid(), 9)
-    return spec.write()
+    return spec.write(folder)
 
 
 def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, undisturbed):

@@ -52,7 +52,7 @@ def killed(folder, at):
 def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
     whole, expected = plan(tmp_path / "whole"), build(plan(tmp_path / "whole"))
     for shard in whole.shards:
-        rejected = read_report((shard, None)).rejected
+        rejected = read_report(whole.folder, (shard, None)).rejected
         assert min(counts.total() for counts in rejected.values()) > 0
     written = []
     while killed(folder := tmp_path / f"killed-{len(written)}", len(written)):

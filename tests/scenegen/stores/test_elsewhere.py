@@ -8,11 +8,10 @@ import pytest
 from scenegen.dataset.locate import locate
 from scenegen.errors import StoreError
 from scenegen.run import EXECUTORS
+from scenegen.stores import Store
 from tests.command_line import refused
 from tests.scenegen.run import everywhere
 from tests.scenegen.run.backwards import Bare
-from tests.scenegen.stores.conftest import forget
-from tests.scenegen.stores.kept import Kept
 
 NAME = "s3://lab/d"
 BARE = ("--on", "bare")
@@ -32,7 +31,6 @@ def here(everything, store, tmp_path, monkeypatch):
     shutil.copytree(everything / "d", store / "lab" / "d")
     everywhere.stand(tmp_path, monkeypatch)
     monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.run.backwards:Bare")
-    forget()
     return tmp_path
 
 
@@ -50,15 +48,15 @@ def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, word
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     here, capsys, monkeypatch
 ):
-    read, asked = Kept.read, []
+    fetch, asked = Store.fetch, []
 
-    def fail(self, name, *more):
+    def fail(self, name, path):
         asked.append(name)
         if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
-            raise StoreError(f"{self.name}/{name}: the store does not answer")
-        return read(self, name, *more)
+            raise StoreError(f"{self}/{name}: the store does not answer")
+        fetch(self, name, path)
 
-    monkeypatch.setattr(Kept, "read", fail)
+    monkeypatch.setattr(Store, "fetch", fail)
     assert "val-00000.h5: the store does not answer (on " in refused(
         capsys, "verify", NAME, "--quick", "--json", *BARE
     )
