@@ -11,9 +11,9 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
-from scenegen.clouds import KITTI_FOLDER, READERS, check_scan, read_cloud, read_points, scans_in
+from scenegen.clouds import KITTI_FOLDER, READERS, read_cloud, scans_in
 from scenegen.errors import DatasetError
-from scenegen.logs.bags import Points, Reader
+from scenegen.logs.bags import Reader
 from scenegen.logs.log import Log, make_log, span
 from scenegen.poses import (
     BEYOND_S,
@@ -72,30 +72,29 @@ def read_folder(
         poses = [chained(chained(inverse(camera), pose), camera) for pose in poses]
     times, placed, pairs = _paired(path, files, Track(track.times_s, poses), source)
 
-    def read(file: Path) -> Points:
-        """Its points; nothing else is known of each."""
-        points = read_points(file, columns)
-        check_scan(points, np.zeros(3), str(file))
-        return points, {}
+    read = partial(read_cloud, columns=columns)
 
     def readers() -> Iterator[Reader]:
-        return (partial(read, file) for file in files)
+        return ((str(file), partial(read, file)) for file in files)
 
+    samples = dict(enumerate(map(read, files[:2])))
+    first = samples[0]
+    if pairs["scan_times"].startswith("unknown"):  # so the unit of points' times is, too
+        samples = {}
     return make_log(
         path,
         times,
         placed,
         readers,
+        samples,
         track.times_s,
         about={
             "clouds": f"{len(files)} clouds",
-            "fields": read_cloud(files[0], columns=columns).layout,
+            "fields": first.layout,
             "frame": "frame of the sensor",
             "poses": f"poses of the {of_what} from {source.name}",
-            "times": "no times of points",
         },
         details={"poses_form": track.form, **pairs},
-        no_point_times=f"{path}: clouds of a folder are read without times of points",
     )
 
 

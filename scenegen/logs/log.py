@@ -5,16 +5,17 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
+from scenegen.clouds import Cloud, check_scan
 from scenegen.errors import DatasetError
 from scenegen.logs import LogScan
 from scenegen.logs.bags import Reader
+from scenegen.logs.times import RawTimes, find_clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +69,11 @@ def make_log(
     times: Floats,
     poses: Sequence[Pose | None],
     clouds: Callable[[], Iterator[Reader]],
+    samples: Mapping[int, Cloud],
     posed_s: Floats,
-    **reading: Any,
+    *,
+    about: Mapping[str, str],
+    details: Mapping[str, str],
 ) -> Log:
     """A log of the scans that have a pose.
 
@@ -78,8 +82,10 @@ def make_log(
         times: (n,): when each scan began, seconds.
         poses: (n,): the sensor's, None if it is not known.
         clouds: Reads the n clouds.
+        samples: Some of these by number, whose times of points decide how all are read.
         posed_s: (m,): for which times poses are known, rising; empty or NaN for all.
-        reading: `Log.about`, `Log.details` and `Log.no_point_times`.
+        about: `Log.about`, but for the times of points.
+        details: `Log.details`, likewise.
 
     Raises:
         DatasetError: No scan has a pose, or one is too far out.
@@ -96,14 +102,32 @@ def make_log(
             f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
             "position from all (UTM lies so far out), or give them in metres"
         )
+    clock, fault, point_times = None, "", {}
+    try:
+        raw = [RawTimes.of_cloud(cloud, times[n]) for n, cloud in samples.items()]
+        clock = find_clock(raw, period_s(times))
+        point_times = {"point_times": clock.details}
+    except ValueError as error:
+        fault = f"{path}: {error}"
 
     def scans(first: int = 0) -> Iterator[LogScan]:
         rows = zip(times.tolist(), poses, clouds(), strict=True)
-        kept = ((time, pose, read) for time, pose, read in rows if pose is not None)
-        for time, pose, read in itertools.islice(kept, first, None):
-            yield LogScan(time, pose, *read())
+        kept = ((time, pose, reader) for time, pose, reader in rows if pose is not None)
+        for time, pose, (name, read) in itertools.islice(kept, first, None):
+            cloud = read()
+            check_scan(cloud.points, np.zeros(3), name)
+            seconds = clock.seconds(RawTimes.of_cloud(cloud, time)) if clock else None
+            yield LogScan(time, pose, cloud.points, {} if seconds is None else {"t": seconds})
 
-    return Log(times[placed], held, len(poses) - len(placed), scans, **reading)
+    return Log(
+        times[placed],
+        held,
+        len(poses) - len(placed),
+        scans,
+        {**about, "times": f"times from {clock}" if clock else "no times of points"},
+        {**details, **point_times},
+        fault,
+    )
 
 
 def span(times_s: Floats) -> str:

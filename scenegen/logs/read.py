@@ -10,11 +10,10 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from scenegen.clouds import scans_in
 from scenegen.errors import DatasetError, raised_as
-from scenegen.logs.bags import RECORDINGS, Recording, Surveyed
+from scenegen.logs.bags import RECORDINGS, Contents, Recording
 from scenegen.logs.folders import PosesOf, read_folder
 from scenegen.logs.frames import pose_at
-from scenegen.logs.log import Log, make_log, period_s
-from scenegen.logs.times import find_clock
+from scenegen.logs.log import Log, make_log
 from scenegen.poses import TUM, Track, read_poses
 
 BAG = "metadata.yaml"
@@ -115,44 +114,37 @@ def _read_recording(
     """The log in a recording, which is read twice: for poses, and for clouds. Its poses are in a
     file, if there is one, or else its own."""
     bag = Recording(path)
-    survey = bag.survey(topic, fixed_frame)
-    times = survey.stamps_s
+    contents = bag.contents(topic, fixed_frame)
+    times = contents.stamps_s
     if poses_file is None:
         with raised_as(DatasetError, f"{path}: "):
-            poses, posed_s, from_where, form = _by_frames(survey)
+            poses, posed_s, source, form = _by_frames(contents)
     else:
         track = read_poses(poses_file)
         poses, posed_s = _at_stamps(track, times, poses_file), track.times_s
-        from_where, form = f"poses of the sensor from {poses_file.name}", track.form
-    clock, why = None, ""
-    try:
-        clock = find_clock(survey.times, period_s(times))
-    except ValueError as error:
-        why = f"{path}: {error}"
+        source, form = f"poses of the sensor from {poses_file.name}", track.form
     return make_log(
         path,
         times,
         poses,
-        partial(bag.clouds, survey.topic, clock),
+        partial(bag.clouds, contents.topic),
+        contents.samples,
         posed_s,
         about={
-            "clouds": f"{len(times)} clouds on {survey.topic}",
-            "fields": " ".join(survey.fields),
-            "frame": f"frame {survey.frame}",
-            "poses": from_where,
-            "times": f"times from {clock}" if clock else "no times of points",
+            "clouds": f"{len(times)} clouds on {contents.topic}",
+            "fields": contents.samples[0].layout,
+            "frame": f"frame {contents.frame}",
+            "poses": source,
         },
-        details={"poses_form": form, "scan_times": "the stamps of clouds"}
-        | ({"point_times": clock.details} if clock else {}),
-        no_point_times=why,
+        details={"poses_form": form, "scan_times": "the stamps of clouds"},
     )
 
 
-def _by_frames(survey: Surveyed) -> tuple[list[Pose | None], Floats, str, str]:
+def _by_frames(contents: Contents) -> tuple[list[Pose | None], Floats, str, str]:
     """The poses of a recording's clouds by its transforms and odometry, over which time they are
     known, and in words where they come from, and by which links. Raises ValueError."""
-    chain = survey.links.chain(survey.frame)
-    poses = [pose_at(chain, time) for time in survey.stamps_s.tolist()]
+    chain = contents.links.chain(contents.frame)
+    poses = [pose_at(chain, time) for time in contents.stamps_s.tolist()]
     topics = dict.fromkeys(link.topic for link in chain)
     timed = [link.track.times_s for link in chain if link.track.is_timed]
     first = max((times[0] for times in timed), default=np.nan)

@@ -1,6 +1,5 @@
 """Times of points: which field of a cloud has them, and in which unit, by what they span."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,12 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
+from scenegen.clouds import Cloud
 from scenegen.poses import UNITS
 
-USUAL = ("t", "time", "timestamp", "time_stamp", "offset_time", "stamps", "time_offset")
-"""What drivers call the time of a point; the first are looked at first."""
-TIME_FIELD = re.compile(r"ts|dt|t_?(s|ms|us|ns|sec|nsec|offset)|.*(time|stamp).*", re.IGNORECASE)
-"""Other names of fields that may be times."""
 MIN_SPAN, MAX_SPAN = 0.05, 1.5
 """The times of a scan's points span at least and at most this share of the time between scans."""
 CLOCK_S = 1.0
@@ -32,6 +28,11 @@ class RawTimes:
     """(n,): whether there is a return, whose time counts."""
     stamp_s: float
     """The cloud's own time, seconds."""
+
+    @classmethod
+    def of_cloud(cls, cloud: Cloud, stamp_s: float) -> "RawTimes":
+        """Those of a cloud, which begins at `stamp_s`."""
+        return cls(cloud.times, cloud.returned, stamp_s)
 
     def of(self, name: str) -> Floats:
         """A field's values at returns, in its unit."""
@@ -71,12 +72,6 @@ class PointClock:
 
     def __str__(self) -> str:
         return f"field {self.field} in {self.unit}"
-
-
-def time_fields(names: Sequence[str]) -> list[str]:
-    """The names of fields that may be times, the likeliest first."""
-    usual = [name for name in USUAL if name in names]
-    return usual + [name for name in names if name not in USUAL and TIME_FIELD.fullmatch(name)]
 
 
 def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:

@@ -18,7 +18,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
-from scenegen.cloud_arrays import encode_npz, read_npz
+from scenegen.clouds.npz import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
@@ -174,7 +174,7 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
+        found = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "

@@ -109,4 +109,4 @@ def test_clouds_of_a_folder_have_no_times(tmp_path, capsys):
 
     written(tmp_path / "log")
     line = refused(capsys, f"ingest {tmp_path}/log --deskew -o {tmp_path}/out --quiet")
-    assert "read without times of points; leave out --deskew" in line
+    assert "its points have no field of times" in line
