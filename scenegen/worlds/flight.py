@@ -90,23 +90,19 @@ class Flight:
 
 
 def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
-    """A path through a world as `plan` gives it, or None."""
-    room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
-    return plan(world.clearance, room, flight, rng=rng)
-
-
-def plan(clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator) -> Floats | None:
-    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
-    (2, 3), or None.
+    """Draw one collision-free path (n, 3) through a world, metres, between a random start and goal;
+    None if there is none.
 
     RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own
     generator is seeded from it before a fresh planner is made, and the search ends on a count of
     iterations, never on time.
     """
+    clearance = world.clearance
+    bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     seed = int(rng.integers(1, 2**31))
-    found = None if ends is None else connect(clearance, bounds, flight, ends, seed)
-    return None if found is None else points_of(found[1])
+    solution = None if ends is None else connect(clearance, bounds, flight, ends, seed)
+    return None if solution is None else points_of(solution[1])
 
 
 def connect(
@@ -117,7 +113,7 @@ def connect(
     seed: int,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
     """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
-    None where it finds none. For the other arguments see `plan`."""
+    None if it finds none. `bounds` (2, 3) are those of the search, world metres."""
     ou.RNG.setSeed(seed)
     space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
     for axis, (low, high) in enumerate(bounds.T.tolist()):
