@@ -102,9 +102,9 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     types = [PLY_TYPES.get(kind, kind) for _, kind, _ in own]
     properties = dict(zip(names, types, strict=True))
     is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
-    known = set(types) <= set(PLY_TYPES.values()) and properties.keys() >= set("xyz")
+    known = set(types) <= set(PLY_TYPES.values())
     if not is_ply or len(properties) < len(own) or not known:
-        raise ValueError("no vertices, or a property is unknown, missing or there twice")
+        raise ValueError("no vertices, or a property is unknown or there twice")
     return PLY_ORDERS[form], int(count), properties
 
 
