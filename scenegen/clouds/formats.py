@@ -97,13 +97,13 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     (_, form, _), (element, vertex, count), *lines = [
         line for line in rest if line and line[0] not in ("comment", "obj_info")
     ]
-    own = list(itertools.takewhile(lambda line: line[0] == "property", lines))
-    names = _lowered([name for _, _, name in own])
-    types = [PLY_TYPES.get(kind, kind) for _, kind, _ in own]
+    property_lines = list(itertools.takewhile(lambda line: line[0] == "property", lines))
+    names = _lowered([name for _, _, name in property_lines])
+    types = [PLY_TYPES.get(kind, kind) for _, kind, _ in property_lines]
     properties = dict(zip(names, types, strict=True))
     is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
     known = set(types) <= set(PLY_TYPES.values())
-    if not is_ply or len(properties) < len(own) or not known:
+    if not is_ply or len(properties) < len(property_lines) or not known:
         raise ValueError("no vertices, or a property is unknown or there twice")
     return PLY_ORDERS[form], int(count), properties
 
@@ -133,8 +133,8 @@ def read_pcd(content: bytes) -> Table:
         raise ValueError(f"VIEWPOINT has {len(viewpoint)} numbers, expected 7")
     if viewpoint == NO_VIEWPOINT or origin_fields(table.columns):
         return table
-    taken = f"{table.layout[:-1]}, VIEWPOINT)"
-    return table._replace(layout=taken, origin=np.array([viewpoint[:3]]))
+    layout_read = f"{table.layout[:-1]}, VIEWPOINT)"
+    return table._replace(layout=layout_read, origin=np.array([viewpoint[:3]]))
 
 
 def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:

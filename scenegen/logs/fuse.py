@@ -142,17 +142,17 @@ class _Run:
         for number, part in enumerate(self._parts()):
             if self._scan >= part.stop:
                 continue
-            kept = {
+            observations = {
                 n: self._folder / "observations" / f"{n:06d}.npz" for n in part[:: self._how.every]
             }
-            place = self._fused(part, kept)
+            place = self._fused(part, observations)
             name = f"place-{number:03d}.npz"
             write_whole(self._folder / name, encode_map(place, name))
-            for observation in kept.values():
+            for observation in observations.values():
                 self.report.update(_observe(observation, place))
             self.report.update(
                 maps=1,
-                observations=len(kept),
+                observations=len(observations),
                 occupied_voxels=int(np.count_nonzero(place.states == OCCUPIED)),
                 free_voxels=int(np.count_nonzero(place.states == FREE)),
             )
@@ -178,34 +178,34 @@ class _Run:
         positions between `low` and `high` (3,)."""
         how = self._how
         reach = np.array([how.reach_m, how.reach_m, how.rise_m])
-        least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
-        most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
-        return least, tuple((most - least).tolist())
+        first = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+        last = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
+        return first, tuple((last - first).tolist())
 
-    def _fused(self, part: range, kept: Mapping[int, Path]) -> VoxelMap:
-        """The map of some scans, which come next; those that are to be `kept` are written there."""
+    def _fused(self, part: range, observations: Mapping[int, Path]) -> VoxelMap:
+        """The map of some scans, which come next; some of them are written as `observations`."""
         positions = np.array([self._log.poses[n].position for n in part])
         first, shape = self._box(positions.min(axis=0), positions.max(axis=0))
         if not self._counts.size:
             self._counts = np.zeros((2, *shape), np.uint8)
         (hits, misses), rest = self._counts, range(self._scan, part.stop)
         for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
-            least, seen, points = window
-            met, observed = _count(hits, misses, least - first, seen)
+            corner, seen, points = window
+            met, observed = _count(hits, misses, corner - first, seen)
             self.report.update(
                 scans=1,
                 returns=len(points),
                 returns_left_out=len(scan.points) - len(points),
                 scans_without_overlap=int(n > part[0] and met < MIN_OVERLAP * observed),
             )
-            if n in kept:
+            if n in observations:
                 observation = {
                     "points": points.astype(np.float32),
                     "position": scan.pose.position,
                     "quaternion": scan.pose.quaternion,
                     "time_s": np.float64(scan.time_s),
                 }
-                write_whole(kept[n], encode_npz(observation))
+                write_whole(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
             self._on_scan(1)
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
@@ -296,13 +296,16 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     return first, seen, points - here
 
 
-def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tuple[int, int]:
-    """Add a scan's window, whose first voxel is `least` (3,), to how many scans observed each voxel
-    of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
-    many there are."""
-    low, high = np.maximum(least, 0), np.minimum(least + seen.observed.shape, hits.shape)
+def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tuple[int, int]:
+    """Add a scan's window, whose first voxel is `corner` (3,), to how many scans observed each
+    voxel of the map or found it free.
+
+    Returns:
+        How many of the observed voxels an earlier scan met, and how many there are.
+    """
+    low, high = np.maximum(corner, 0), np.minimum(corner + seen.observed.shape, hits.shape)
     # where map and window overlap, in the map and in the window
-    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
+    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - corner, high - corner))
     hit, miss = hits[in_map], misses[in_map]
     observed, free = seen.observed[inside], seen.free[inside]
     full = (observed | free) & (np.maximum(hit, miss) == MAX_COUNT)
@@ -339,7 +342,7 @@ def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
     observation |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
     observation |= {"observed": seen.observed, "free": seen.free}
     observation |= {"occupancy": occupancy, "known": known}
-    write_whole(path, encode_npz(observation))
+    write_whole(path, encode_npz(observation), sync=False)
     voxels = grid.index(points, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
     outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))

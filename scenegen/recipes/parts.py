@@ -20,7 +20,7 @@ Span = tuple[float, float]
 """From where to where along an axis, metres."""
 Rectangle = tuple[float, float, float, float]
 """Least x and y, greatest x and y, metres."""
-MOST_CELLS = 500_000
+MAX_CELLS = 500_000
 """The most points of a lattice of noise or of heights."""
 
 
@@ -129,16 +129,16 @@ class Parts:
             spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
 
 
-def join(homes: dict[Any, Any], one: Any, other: Any) -> bool:
+def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:
     """Join two things, directly or by others: whether they were not joined before. `homes` says of
     each what it was joined to (union and find, Galler and Fischer 1964)."""
-    while one in homes:
-        one = homes[one]
-    while other in homes:
-        other = homes[other]
-    if one == other:
+    while first in homes:
+        first = homes[first]
+    while second in homes:
+        second = homes[second]
+    if first == second:
         return False
-    homes[one] = other
+    homes[first] = second
     return True
 
 
@@ -146,15 +146,15 @@ def divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> lis
     """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
     divided, none becomes shorter."""
     x0, y0, x1, y1 = room
-    longer, (least, most) = max(x1 - x0, y1 - y0), edges_m
-    if longer < 2 * least or longer <= rng.uniform(max(2 * least, least + 1), most):
+    longer, (shortest, longest) = max(x1 - x0, y1 - y0), edges_m
+    if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
         return [room]
-    at = rng.uniform(least, longer - least)
+    at = rng.uniform(shortest, longer - shortest)
     if x1 - x0 >= y1 - y0:
         halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
     else:
         halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
-    return [part for one in halves for part in divided(one, edges_m, rng=rng)]
+    return [part for half in halves for part in divided(half, edges_m, rng=rng)]
 
 
 class Edge(NamedTuple):
@@ -172,15 +172,15 @@ class Edge(NamedTuple):
 
 def shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[Edge, tuple[int, int]]]:
     """Where rectangles touch, and the numbers of the two."""
-    found = []
+    edges = []
     for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
         for axis in (0, 1):
             along = 1 - axis
             low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
             for first, second in ((one, other), (other, one)):
                 if first[axis + 2] == second[axis] and high - low > 1e-9:
-                    found.append((Edge(axis, second[axis], low, high), (a, b)))
-    return found
+                    edges.append((Edge(axis, second[axis], low, high), (a, b)))
+    return edges
 
 
 def rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[Edge]:
@@ -200,13 +200,13 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     part = part * part * (3.0 - 2.0 * part)
     _check_cells(float(np.prod(whole.max(axis=0) + 2.0)), f"noise of {cell_m:g} m")
     lattice = rng.random(tuple(whole.max(axis=0) + 2))
-    found = np.zeros(len(points))
+    noise = np.zeros(len(points))
     for corner in itertools.product((0, 1), repeat=points.shape[1]):
         weight = np.ones(len(points))
         for axis, far in enumerate(corner):
             weight = weight * (part[:, axis] if far else 1.0 - part[:, axis])
-        found += weight * lattice[tuple((whole + np.array(corner)).T)]
-    return found
+        noise += weight * lattice[tuple((whole + np.array(corner)).T)]
+    return noise
 
 
 def hilly(
@@ -231,9 +231,9 @@ def hilly(
 
 def _check_cells(cells: float, what: str) -> None:
     """Raise ValueError where a lattice would take too much memory."""
-    if cells > MOST_CELLS:
+    if cells > MAX_CELLS:
         raise ValueError(
-            f"{what} has {cells:.3g} points, expected {MOST_CELLS} at most; lower size_m, or make "
+            f"{what} has {cells:.3g} points, expected {MAX_CELLS} at most; lower size_m, or make "
             f"it coarser"
         )
 
@@ -252,10 +252,9 @@ def scattered(
 ) -> list[list[float]]:
     """Points (n, k) between two corners of k numbers: as many as there are on an area by a density
     a square metre, drawn between two bounds."""
-    least, most = np.asarray(density).tolist()
-    n = round(rng.uniform(least, most) * area_m2)
-    found: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
-    return found
+    n = round(rng.uniform(*np.asarray(density).tolist()) * area_m2)
+    points: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
+    return points
 
 
 def half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:

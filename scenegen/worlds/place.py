@@ -130,20 +130,20 @@ def read_place(path: str | Path) -> Place:
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
     """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    found = Place(f"{sha256_of(content)[:16]}{suffix}", content)
+    place = Place(f"{sha256_of(content)[:16]}{suffix}", content)
     try:
-        bounds = found.flight_bounds
+        bounds = place.flight_bounds
     except SceneError as error:
-        raise SceneError(str(error).replace(found.name, where, 1)) from None
+        raise SceneError(str(error).replace(place.name, where, 1)) from None
     if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
-    return found
+    return place
 
 
 def named_map(document: bytes) -> str:
     """The file that a document of an archive names as its map; "" for a world of solids."""
-    found = NAMED.fullmatch(document)
-    return found[1].decode() if found else ""
+    match = NAMED.fullmatch(document)
+    return match[1].decode() if match else ""
 
 
 def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> Place:
@@ -174,19 +174,19 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        found = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
+        arrays = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
-    for array, (part, (dtype, dimensions)) in zip(found, PARTS.items(), strict=True):
+    for array, (part, (dtype, dimensions)) in zip(arrays, PARTS.items(), strict=True):
         if array.dtype != dtype or array.ndim != dimensions:
             raise SceneError(
                 f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
                 "axes"
             )
-    states, voxel_m, origin = np.ascontiguousarray(found[0]), float(found[1]), found[2]
+    states, voxel_m, origin = np.ascontiguousarray(arrays[0]), float(arrays[1]), arrays[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
         raise SceneError(

@@ -34,13 +34,13 @@ def quiet_mujoco() -> Iterator[list[str]]:
     Left alone, MuJoCo prints them and appends them to a file in the working folder. Whoever else
     uses MuJoCo in this process finds its own handler again afterwards.
     """
-    told: list[str] = []
+    messages: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(told.append)
+    mujoco.set_mju_user_warning(messages.append)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            yield told
+            yield messages
     finally:
         mujoco.set_mju_user_warning(before)
 
