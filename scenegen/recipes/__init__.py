@@ -17,9 +17,7 @@ if TYPE_CHECKING:  # the command line asks for the kinds' names, and must not lo
     from scenegen.recipes.kind import WorldKind
 
 _NAMES = sorted(
-    info.name
-    for info in pkgutil.iter_modules(__path__)
-    if info.name not in ("kind", "parts", "pieces")
+    info.name for info in pkgutil.iter_modules(__path__) if info.name not in ("kind", "parts")
 )
 KINDS = Registry(
     "kind",

@@ -2,16 +2,16 @@
 ground; and places by density."""
 
 import itertools
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats, Ints, Vector
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, bounding_boxes
+from lidarsim.grid import Floats, Vector
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 Point = Sequence[float]
@@ -142,55 +142,6 @@ def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:
     return True
 
 
-def divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> list[Rectangle]:
-    """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
-    divided, none becomes shorter."""
-    x0, y0, x1, y1 = room
-    longer, (shortest, longest) = max(x1 - x0, y1 - y0), edges_m
-    if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
-        return [room]
-    at = rng.uniform(shortest, longer - shortest)
-    if x1 - x0 >= y1 - y0:
-        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
-    else:
-        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
-    return [part for half in halves for part in divided(half, edges_m, rng=rng)]
-
-
-class Edge(NamedTuple):
-    """Where a rectangle touches another, or the rim of the plan."""
-
-    axis: int
-    """The one across the edge."""
-    at: float
-    """Where the edge is on that axis, metres."""
-    low: float
-    """Where it begins on the other axis, metres."""
-    high: float
-    """Where it ends."""
-
-
-def shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[Edge, tuple[int, int]]]:
-    """Where rectangles touch, and the numbers of the two."""
-    edges = []
-    for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
-        for axis in (0, 1):
-            along = 1 - axis
-            low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
-            for first, second in ((one, other), (other, one)):
-                if first[axis + 2] == second[axis] and high - low > 1e-9:
-                    edges.append((Edge(axis, second[axis], low, high), (a, b)))
-    return edges
-
-
-def rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[Edge]:
-    """Where rectangles touch the rim of a plan of `size_m` from the origin."""
-    for room in rooms:
-        for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
-            if room[side] in (0.0, size_m[axis]):
-                yield Edge(axis, room[side], room[1 - axis], room[3 - axis])
-
-
 def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
     random values at the corners of a lattice, interpolated (value noise)."""
@@ -255,14 +206,3 @@ def scattered(
     n = round(rng.uniform(*np.asarray(density).tolist()) * area_m2)
     points: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
     return points
-
-
-def half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
-    """How far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their centres,
-    metres."""
-    w, x, y, z = quaternion.T
-    rotation = np.zeros((len(size), 3, 3))
-    rotation[:, 2] = np.transpose(
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    )
-    return bounding_boxes(shape, size, np.zeros_like(size), rotation)[1][:, 2]
