@@ -22,11 +22,10 @@ from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud
 from scenegen.logs.frames import Links, pose_at
 from scenegen.logs.fuse import ingest
-from scenegen.logs.log import Log
+from scenegen.logs.log import Log, RawTimes, find_clock
 from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, record
-from scenegen.logs.times import RawTimes, find_clock
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place

@@ -6,8 +6,8 @@ import pytest
 from scenegen.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.fuse import ingest
+from scenegen.logs.log import RawTimes, find_clock
 from scenegen.logs.read import read_log
-from scenegen.logs.times import RawTimes, find_clock
 from tests.command_line import refused, run
 from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, SPEED_MPS, drive, moving
 
