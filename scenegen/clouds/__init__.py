@@ -59,9 +59,14 @@ def cloud_of(table: Table) -> Cloud:
     def stacked(names: list[str]) -> Floats:
         return np.stack([np.asarray(columns[name], np.float64) for name in names], axis=1)
 
+    points = stacked([*"xyz"])
     origins = stacked(fields) if (fields := origin_fields(columns)) else table.origin
-    times = {name: columns[name] for name in time_fields([*columns])}
-    return Cloud(stacked([*"xyz"]), table.layout, origins, times)
+    times = {
+        name: columns[name]
+        for name in time_fields([*columns])
+        if columns[name].shape == points.shape[:1] and columns[name].dtype.kind in "fiu"
+    }
+    return Cloud(points, table.layout, origins, times)
 
 
 def read_cloud(

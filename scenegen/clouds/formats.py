@@ -254,7 +254,9 @@ def _unpack_las(content: bytes) -> Table:
         count = file.header.point_count
         if count > MOST_POINTS:
             raise DatasetError(f"promises {count} points, expected {MOST_POINTS} at most")
-        names = sorted(set(file.header.point_format.dimension_names) | set("xyz"))
+        dimensions = file.header.point_format.dimensions
+        scalars = {dimension.name for dimension in dimensions if dimension.num_elements == 1}
+        names = sorted(scalars | set("xyz"))
         chunks = [
             {name: np.asarray(chunk[name], float) for name in used_fields(names)}
             for chunk in file.chunk_iterator(LAS_CHUNK)
@@ -338,7 +340,8 @@ def read_xyz(content: bytes) -> Table:
     words = head.decode("latin-1").lower().replace(",", " ").strip("#/ \r").split()
     places = dict(zip("xyz", range(3), strict=True))
     if set(words) >= set("xyz"):
-        places, content = {name: words.index(name) for name in used_fields(words)}, rest
+        # others may be words, such as a time of day
+        places, content = {axis: words.index(axis) for axis in "xyz"}, rest
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     columns = text_columns(content.replace(b",", b" "), places, MOST_POINTS + 1)

@@ -48,11 +48,14 @@ def test_arrays_and_text_come_back(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "head", ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i"]
+    "head",
+    ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i", "x y z time"],
 )
 def test_a_first_line_of_names_says_where_x_y_and_z_are(tmp_path, head):
     before = "9 " * head.startswith(("# i", "t"))
-    (tmp_path / "a.xyz").write_text(f"{head}\n{before}1 2 3 7\n{before}4 5 6 7\n")
+    after = "12:30:00" if "time" in head else "7"
+    text = "".join(f"{before}{point} {after}\n" for point in ("1 2 3", "4 5 6"))
+    (tmp_path / "a.xyz").write_text(f"{head}\n{text}")
     assert_array_equal(read_cloud(tmp_path / "a.xyz").points, [[1, 2, 3], [4, 5, 6]])
 
 

@@ -99,6 +99,15 @@ def test_fields_of_arrays_count_by_name(tmp_path):
     assert_array_equal(read_cloud(tmp_path / "a.npy").points, ROOM)
 
 
+def test_times_that_are_no_column_of_numbers_are_left_out(tmp_path):
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("time", "S3"), ("stamps", "f4", (2,))]
+    rows = np.zeros(5, [*fields, ("t", "u4")])
+    np.save(tmp_path / "a.npy", rows)
+    cloud = read_cloud(tmp_path / "a.npy")
+    assert len(cloud.points) == 5
+    assert list(cloud.times) == ["t"]
+
+
 def test_arrays_of_few_points_are_asked_about(tmp_path):
     path, square = tmp_path / "scan.npy", RNG.normal(size=(4, 4))
     np.save(path, square)

@@ -98,6 +98,21 @@ def test_las_in_metres_is_read(tmp_path):
         assert cloud.layout == "x y z (LAS, point format 6)"
 
 
+def test_las_fields_of_times_are_columns_of_numbers(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [1e-3] * 3
+    header.add_extra_dims([laspy.ExtraBytesParams("time_3", "3f8")])
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = METRES.T
+    data.gps_time = np.arange(200.0)
+    data.write(tmp_path / "a.las")
+    cloud = read_cloud(tmp_path / "a.las")
+    assert_allclose(cloud.points, METRES, atol=1e-2)
+    assert_array_equal(cloud.times["gps_time"], np.arange(200.0))
+    assert list(cloud.times) == ["gps_time"]
+
+
 def test_laz_is_read_after_others_read_some_here(tmp_path):
     laspy = pytest.importorskip("laspy")
     path = las(tmp_path / "a.laz", METRES.repeat(500, axis=0), [1e-3] * 3)
