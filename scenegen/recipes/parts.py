@@ -62,8 +62,16 @@ class Parts:
         whole: Sequence[Span],
         opening: Sequence[Span] | None,
     ) -> None:
-        """A wall across an axis at `at`, twice `half` thick, with at most one rectangular opening.
-        `whole` and `opening` are spans along the two other axes."""
+        """A wall with at most one rectangular opening.
+
+        Args:
+            of_class: Its class.
+            axis: The axis across it.
+            at: Where its middle is on that axis, metres.
+            half: Half its thickness, metres.
+            whole: Its spans along the two other axes.
+            opening: Those of the opening.
+        """
         (u0, u1), (v0, v1) = whole
         (a0, a1), (b0, b1) = opening or ((u1, u1), (v0, v0))
         pieces = [((u0, a0), (v0, v1)), ((a1, u1), (v0, v1))]
@@ -143,8 +151,19 @@ def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:
 
 
 def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
-    """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
-    random values at the corners of a lattice, interpolated (value noise)."""
+    """Draw smooth noise: random values at the corners of a lattice, interpolated (value noise).
+
+    Args:
+        points: (n, d), d at most 3.
+        cell_m: Width of its hills.
+        rng: What it is drawn by.
+
+    Returns:
+        (n,): from 0 to 1.
+
+    Raises:
+        ValueError: The lattice has more than `MAX_CELLS` points.
+    """
     scaled = (points - points.min(axis=0)) / cell_m
     whole = np.floor(scaled).astype(np.int64)
     part = scaled - whole
@@ -201,8 +220,18 @@ def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> f
 def scattered(
     density: ArrayLike, area_m2: float, low: Point, high: Point, *, rng: Generator
 ) -> list[list[float]]:
-    """Points (n, k) between two corners of k numbers: as many as there are on an area by a density
-    a square metre, drawn between two bounds."""
+    """Draw points between two corners.
+
+    Args:
+        density: Least and greatest number of points per square metre.
+        area_m2: The area that counts, square metres.
+        low: The least corner, k numbers.
+        high: The greatest corner.
+        rng: What they are drawn by.
+
+    Returns:
+        n points of k numbers each.
+    """
     n = round(rng.uniform(*np.asarray(density).tolist()) * area_m2)
     points: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
     return points

@@ -288,11 +288,19 @@ def _attribute(name: str, numbers: list[float]) -> str:
 def flatten(
     model: mujoco.MjModel, data: mujoco.MjData, *, materials: bool = False
 ) -> tuple[bytes, dict[str, bytes]]:
-    """The document of `model` as `data` stands, and the files that it refers to, by name.
+    """Write a compiled model as MJCF.
+
+    Args:
+        model: The model.
+        data: Where its geoms are.
+        materials: Whether the names of materials are kept.
+
+    Returns:
+        The document, and the files that it refers to, by name.
 
     Colours are those that decide what rays see. Planes become infinite, as they are for collisions
     and for the truth: rays would pass beside the rectangle that is drawn. Joints, skins, textures,
-    and what else no ray meets, are left out; materials too, unless `materials` keeps their names.
+    and what else no ray meets, are left out.
     """
     root = ElementTree.Element("mujoco", model="scenegen")
     ElementTree.SubElement(root, "size", memory=str(memory_bytes(model.ngeom)))

@@ -112,8 +112,18 @@ def connect(
     ends: tuple[Floats, Floats],
     seed: int,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
-    """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
-    None if it finds none. `bounds` (2, 3) are those of the search, world metres."""
+    """Search a path between two points by RRT.
+
+    Args:
+        clearance: The collision check.
+        bounds: (2, 3): the box of the search, world metres.
+        flight: Radius of the robot, and the planner's parameters.
+        ends: Start and goal, (3,) each.
+        seed: That of OMPL's generator.
+
+    Returns:
+        OMPL's path, with the space that checks its motions; None if RRT finds none.
+    """
     ou.RNG.setSeed(seed)
     space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
     for axis, (low, high) in enumerate(bounds.T.tolist()):

@@ -23,7 +23,15 @@ FAULTS = {
 
 
 def parse_octomap(content: bytes, name: str) -> VoxelMap:
-    """The map that `content` holds. Raises SceneError, naming `name`."""
+    """Parse a `.bt` or `.ot` file.
+
+    Args:
+        content: Its bytes.
+        name: What errors name.
+
+    Raises:
+        SceneError: It is no OctoMap, damaged, empty or too large.
+    """
     first, _, _ = content[:MAX_HEADER_BYTES].partition(b"\n")
     head, mark, tree = content.partition(b"\ndata\n")
     magics = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}

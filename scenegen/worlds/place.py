@@ -147,8 +147,16 @@ def named_map(document: bytes) -> str:
 
 
 def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> Place:
-    """The place of a document for which `named_map` has a name. Raises SceneError, naming `where`,
-    where its file is missing or holds no map."""
+    """Read the place of an archived document for which `named_map` has a name.
+
+    Args:
+        document: The MJCF.
+        assets: The files of the archive by name.
+        where: What the error names.
+
+    Raises:
+        SceneError: The map's file is missing, or holds no map.
+    """
     name = named_map(document)
     if name not in assets:
         raise SceneError(f"{where}: its map {name} is missing")
@@ -196,8 +204,16 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
 
 
 def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
-    """The content of an .npz map, with `more` arrays by name: the same for the same map. Raises
-    SceneError, naming `where`, for more than a map's file may hold."""
+    """Encode a map as .npz: the same bytes for the same map.
+
+    Args:
+        voxels: The map.
+        where: What the error names, a file.
+        more: Further arrays by name.
+
+    Raises:
+        SceneError: It takes more than a map's file may hold.
+    """
     arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
     content = encode_npz(arrays | more, level=6)
     if len(content) > MOST_ASSET_BYTES:
@@ -209,8 +225,16 @@ def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
 
 
 def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
-    """The first of the cells that are `wanted` along each axis, and one more than the last,
-    (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
+    """Find the box around some cells, layer by layer: a map is too large for a copy.
+
+    Args:
+        cells: An array of any axes.
+        wanted: Tells which cells of a layer count.
+
+    Returns:
+        (2, axes): the first such cell along each axis, and one more than the last; zeros if there
+        is none.
+    """
     rows, seen = np.zeros(len(cells), bool), np.zeros(cells.shape[1:], bool)
     for n, layer in enumerate(cells):
         here = wanted(layer)

@@ -32,11 +32,15 @@ FLAGS = {"0": False, "1": True, "false": False, "true": True}
 
 
 def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
-    """The map of a .yaml file and its picture, `.pgm` or `.png`, as large as what is known in it.
+    """Read the map of a .yaml file and its picture, `.pgm` or `.png`, cropped to its known cells.
 
     A cell is occupied, free or unknown by the file's thresholds, as map_server's mode `trinary` has
     it. Each becomes a column of cubes from the floor, z = 0, to `height_m`, metres. Below those
     that are known lies a layer of occupied ones, the floor.
+
+    Args:
+        path: The .yaml file.
+        height_m: Height of the walls, metres.
 
     Raises:
         SceneError: The file is no such map, it is turned, or too large at that height.

@@ -108,7 +108,14 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 
     The document is compiled again, and its solids compared with those of the file. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process
-    with limits. Raises SceneError.
+    with limits.
+
+    Args:
+        path: The file.
+        materials: Whether the names of materials are kept.
+
+    Raises:
+        SceneError: It cannot serve as a world.
     """
     with quiet_mujoco() as warnings:
         drawn, notes = _compile(path)

@@ -118,8 +118,7 @@ def solid(world: AnyWorld, where: str) -> World:
 
 
 def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> AnyWorld:
-    """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
-    where it cannot serve as one."""
+    """Read the world of an archived document, of solids or a map. Raises as `compile_world`."""
     if named_map(mjcf):
         return archived_place(mjcf, assets, name)
     return compile_world(mjcf, assets, name=name)
@@ -128,8 +127,16 @@ def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> An
 def compile_world(
     mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world"
 ) -> World:
-    """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a
-    world."""
+    """Compile an archived document.
+
+    Args:
+        mjcf: The document, UTF-8.
+        assets: The files that it refers to, by the names it uses.
+        name: What the error names.
+
+    Raises:
+        SceneError: It cannot serve as a world.
+    """
     assets = dict(assets or {})
     with quiet_mujoco():
         refused = (ValueError, mujoco.FatalError)
