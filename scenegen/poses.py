@@ -128,19 +128,15 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
         raise DatasetError(f"{path}: row {n}: expected a time above the one before")
     if not names:
         _check_order(table[:, 4:], path)
+    with raised_as(DatasetError):
+        poses = poses_of(table[:, 1:], str(path))
     if not timed:
-        return Track(np.full(len(rows), np.nan), _poses_in(table, path))
+        return Track(np.full(len(rows), np.nan), poses)
     times_s, unit = to_seconds(
         table[:, 0], f"{path}: times", next((unit for _, unit in named if unit), "")
     )
     form = f"columns {' '.join(name for name, _ in named if name)}, t in {unit}"
-    return Track(times_s, _poses_in(table, path), form)
-
-
-def _poses_in(table: Floats, path: Path) -> list[Pose]:
-    """The poses of a file's columns `TUM` (n, 8)."""
-    with raised_as(DatasetError):
-        return poses_of(table[:, 1:], str(path))
+    return Track(times_s, poses, form)
 
 
 def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:

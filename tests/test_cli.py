@@ -7,7 +7,6 @@ import sys
 import warnings
 
 import click
-import mujoco
 import pytest
 
 from scenegen import __version__
@@ -23,7 +22,7 @@ def test_version_completion_and_doctor(capsys, monkeypatch):
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion bash")[1]
     found = json.loads(done(capsys, "doctor --json"))
     assert found["ok"]
-    assert found["software"]["mujoco"] == mujoco.__version__
+    assert found["mujoco"] == found["ompl"] == "loads"
 
 
 HEAVY = {"torch", "mujoco", "numba", "h5py", "ompl", "scipy", "numpy"}

@@ -19,8 +19,8 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from scenegen.cli.show import Progress, note, say
-from scenegen.cloud_arrays import read_npz
 from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
+from scenegen.clouds.npz import read_npz
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look, evenly
@@ -129,7 +129,7 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
     if path.suffix == ".npz":
         with suppress(ValueError):  # an archive of points alone
             content = read_bounded(path, MOST_SCAN_BYTES)
-            found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
+            found = read_npz(content, *TRUTH, "voxel_m", max_bytes=MOST_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
     return Scan(str(path), cloud.points, position, cloud.layout, truth)
 

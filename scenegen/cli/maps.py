@@ -77,8 +77,8 @@ def map(
     if sensor is not None and poses is not None:
         raise click.UsageError("--sensor and --poses both say where sensors were; give one")
     plan = clouds[0].suffix == ".yaml"
-    given = set(filter(was_given, ("sensor", "poses", "box", "columns", *options)))
-    misplaced = given - {"height_m"} if plan else given & {"height_m"}
+    options_given = set(filter(was_given, ("sensor", "poses", "box", "columns", *options)))
+    misplaced = options_given - {"height_m"} if plan else options_given & {"height_m"}
     if misplaced or (plan and len(clouds) > 1):
         raise click.UsageError(
             "a plan, .yaml, is given alone, with --height and no other of these options, which are "
@@ -157,20 +157,20 @@ def ingest(
         how = Fusing(**options)
     if not explain:
         check_free(target)
-    found = read_log(log, columns=columns, **log_reading)
+    recording = read_log(log, columns=columns, **log_reading)
     if explain:
-        row = found.explained()
+        row = recording.explained()
         if tell(row):
             show_table(row)
     elif talk:
-        note(found.line())
+        note(recording.line())
     if how.deskew:
-        found.check_point_times()
+        recording.check_point_times()
     if explain:
         return
     with Progress("ingest", shown=talk) as progress:
-        progress.start(len(found.poses))
-        counts = write(found, target, how, on_scan=progress.count)
-    if tell({"folder": str(target), "read": dict(found.about), **counts}):
+        progress.start(len(recording.poses))
+        counts = write(recording, target, how, on_scan=progress.count)
+    if tell({"folder": str(target), "read": dict(recording.about), **counts}):
         source, folder = quote(str(target)), quote(f"{target}-samples")
         show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

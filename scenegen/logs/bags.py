@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
-from scenegen.clouds import check_scan
+from scenegen.clouds import Cloud, cloud_of
+from scenegen.clouds.columns import Table, used_fields
 from scenegen.errors import DatasetError, printable
-from scenegen.logs.frames import Links, seconds
+from scenegen.logs.frames import Links
 from scenegen.logs.messages import CLOUD, POINT_TYPES, TRANSFORMS
-from scenegen.logs.times import PointClock, RawTimes, time_fields
 
 RECORDINGS = (".mcap", ".bag", ".db3")
 """Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
@@ -34,25 +34,12 @@ LIVOX_BYTES = 19
 """Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
 
 
-@dataclass(frozen=True, eq=False)
-class RawCloud:
-    """One cloud."""
-
-    points: Floats
-    """(n, 3), metres."""
-    fields: tuple[str, ...]
-    """The names of all fields of its points."""
-    times: RawTimes
-
-
-Points: TypeAlias = tuple[Floats, dict[str, Floats]]
-"""The points (n, 3) of a cloud, and what else is known of each, by name, (n,)."""
-Reader: TypeAlias = Callable[[], Points]
-"""Reads a cloud."""
+Reader: TypeAlias = tuple[str, Callable[[], Cloud]]
+"""The name of a cloud, for errors, and what reads it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
+class Contents:
     """What a recording holds."""
 
     topic: str
@@ -62,10 +49,8 @@ class Surveyed:
     stamps_s: Floats
     """(n,): the times of the clouds, seconds."""
     links: Links
-    fields: tuple[str, ...]
-    """The names of the fields of its points."""
-    times: list[RawTimes]
-    """Of some clouds, spread over the recording."""
+    samples: dict[int, Cloud]
+    """Some of the clouds, spread over the recording, by number."""
 
 
 class Recording:
@@ -86,7 +71,7 @@ class Recording:
         self._reader: Any = Reader1 if self._first else Reader2
         self._decode = store.deserialize_ros1 if self._first else store.deserialize_cdr
 
-    def survey(self, topic: str | None, fixed_frame: str | None = None) -> Surveyed:
+    def contents(self, topic: str | None, fixed_frame: str | None = None) -> Contents:
         """Read everything but points.
 
         Args:
@@ -97,16 +82,15 @@ class Recording:
             DatasetError: There are no clouds, or those of several topics or frames.
         """
         heads, links = defaultdict[str, list[tuple[float, str]]](list), Links(fixed_frame)
-        samples = defaultdict[str, list[tuple[str, bytes]]](list)
+        samples = defaultdict[str, dict[int, tuple[str, bytes]]](dict)
         for kind, on, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
-            if kind in (CLOUD, *LIVOX):
-                if len(heads[on]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
-                    samples[on].append((kind, data))
-                with _readable(self._path):
-                    heads[on].append(self._head(data)[:2])
-            else:
-                with _readable(self._path):
+            with _readable(self._path):
+                if kind not in (CLOUD, *LIVOX):
                     links.add(on, self._decode(data, kind))
+                    continue
+                if len(heads[on]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
+                    samples[on][len(heads[on])] = kind, data
+                heads[on].append(self._head(data)[:2])
         if topic is None and len(heads) > 1:
             raise DatasetError(
                 f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
@@ -123,29 +107,22 @@ class Recording:
                 f"{self._path}: the clouds on {topic} are of several frames, {', '.join(frames)}; "
                 "expected those of one sensor"
             )
-        clouds = [self._read(*sample) for sample in samples[topic]]
-        stamps, times = np.array([time for time, _ in heads[topic]]), [c.times for c in clouds]
-        return Surveyed(topic, frames[0], stamps, links, clouds[0].fields, times)
+        stamps = np.array([time for time, _ in heads[topic]])
+        clouds = {n: self._read(*sample) for n, sample in samples[topic].items()}
+        return Contents(topic, frames[0], stamps, links, clouds)
 
-    def clouds(self, topic: str, clock: PointClock | None) -> Iterator[Reader]:
-        """What reads each cloud of a topic: its points and, if a `clock` reads times, `t`, (n,)."""
+    def clouds(self, topic: str) -> Iterator[Reader]:
+        """What reads each cloud of a topic."""
         for kind, on, data in self._messages(CLOUD, *LIVOX):
             if on == topic:
-                yield partial(self._read_points, kind, data, clock)
+                name = f"{self._path}: cloud at {self._head(data)[0]:.14g} s"
+                yield name, partial(self._read, kind, data)
 
-    def _read_points(self, kind: str, data: bytes, clock: PointClock | None) -> Points:
-        cloud = self._read(kind, data)
-        where = f"{self._path}: cloud at {cloud.times.stamp_s:.14g} s"
-        check_scan(cloud.points, np.zeros(3), where)
-        times_s = clock.seconds(cloud.times) if clock else None
-        return cloud.points, {} if times_s is None else {"t": times_s}
-
-    def _read(self, kind: str, data: bytes) -> RawCloud:
+    def _read(self, kind: str, data: bytes) -> Cloud:
         with _readable(self._path):
             if kind == CLOUD:
                 return _of_cloud(self._decode(data, CLOUD))
-            stamp_s, _, order, start = self._head(data)
-            return _of_livox(data, order, start, stamp_s, packed=self._first)
+            return _of_livox(data, *self._head(data)[2:], packed=self._first)
 
     def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
         """The kind, topic and content of every message of some kinds, in the order of recording."""
@@ -158,9 +135,9 @@ class Recording:
         """Of a message that begins with a header: its time, seconds, its frame, its byte order, and
         where the header ends."""
         order = "<" if self._first or data[1] & 1 else ">"  # four bytes say so: of ROS 1, a count
-        seconds, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
+        whole, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
         frame = data[16 : 16 + length].rstrip(b"\0").decode()
-        return seconds + 1e-9 * fraction, frame, order, 16 + length
+        return whole + 1e-9 * fraction, frame, order, 16 + length
 
 
 @contextmanager
@@ -176,7 +153,7 @@ def _readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def _of_livox(data: bytes, order: str, start: int, stamp_s: float, *, packed: bool) -> RawCloud:
+def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
     """The points of a CustomMsg. After its header come a time of 8 bytes, how many points it
     promises, four bytes, and how many follow; where the message is not `packed`, numbers lie at
     multiples of their size."""
@@ -191,29 +168,25 @@ def _of_livox(data: bytes, order: str, start: int, stamp_s: float, *, packed: bo
     axes = [(axis, f"{order}f4") for axis in "xyz"]
     dtype = np.dtype([(LIVOX_TIME, f"{order}u4"), *axes, ("more", f"V{step - 16}")])
     rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
-    return _raw_cloud(rows, (LIVOX_TIME, *"xyz", "reflectivity", "tag", "line"), stamp_s)
+    return _of_rows(rows, "offset_time x y z reflectivity tag line")
 
 
-def _raw_cloud(rows: NDArray, fields: tuple[str, ...], stamp_s: float) -> RawCloud:
-    """The cloud of `rows` (n,), a structured array with x, y, z and the fields of times among all
-    `fields`."""
-    points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    returned = np.asarray(np.isfinite(points).all(axis=1) & points.any(axis=1))
-    times = {name: rows[name] for name in time_fields(rows.dtype.names or ())}
-    return RawCloud(points, fields, RawTimes(times, returned, stamp_s))
+def _of_rows(rows: NDArray[Any], layout: str) -> Cloud:
+    """The cloud of a structured array (n,)."""
+    return cloud_of(
+        Table({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
+    )
 
 
-def _of_cloud(cloud: Any) -> RawCloud:
+def _of_cloud(cloud: Any) -> Cloud:
     """The points of a PointCloud2. Raises ValueError if the message does not hold what it
     promises."""
     fields = {field.name: field for field in cloud.fields}
-    if missing := [axis for axis in "xyz" if axis not in fields]:
-        raise ValueError(f"has no {', '.join(missing)}")
     order = ">" if cloud.is_bigendian else "<"
     # NumPy's type of a point: the fields that are read, each with its offset
     layout: Any = {
         name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
-        for name in (*"xyz", *time_fields(list(fields)))
+        for name in used_fields([*fields])
     }
     shape, point_bytes, held = (cloud.height, cloud.width), cloud.point_step, len(cloud.data)
     row_bytes = point_bytes * shape[1]
@@ -228,4 +201,4 @@ def _of_cloud(cloud: Any) -> RawCloud:
         )
     strides = row_bytes, point_bytes
     rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
-    return _raw_cloud(rows, tuple(fields), seconds(cloud.header.stamp))
+    return _of_rows(rows, " ".join(fields))

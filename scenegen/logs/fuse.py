@@ -6,10 +6,10 @@ import math
 import shutil
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
+from scenegen.clouds.npz import encode_npz
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
@@ -40,10 +41,10 @@ PROGRESS, SAVE_EVERY_S = "progress.npz", 60.0
 """The file that says how far a log is fused, and how often it is written, seconds."""
 NOTHING = np.empty((2, 0, 0, 0), np.uint8)
 """The counts of no voxel."""
-LEAST_SHARED = 0.1
+MIN_OVERLAP = 0.1
 """A scan of whose observed voxels a smaller share was met before does not overlap with those before
 it."""
-MOST_TOLD = 255
+MAX_COUNT = 255
 """Scans that are counted of a voxel: beyond, both of its counts are halved."""
 Counts: TypeAlias = NDArray[np.uint8]
 Window: TypeAlias = tuple[Ints, ObservedGrid, Floats]
@@ -89,7 +90,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
         remove_drafts(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
-    return run.counts
+    return run.report
 
 
 class _Run:
@@ -104,9 +105,9 @@ class _Run:
         """What tells the log and how it is fused from others."""
         self._scan = 0
         """The next one."""
-        self.counts = Counter(scans_without_pose=log.without_pose)
+        self.report = Counter(scans_without_pose=log.without_pose)
         """What was found so far."""
-        self._told = NOTHING
+        self._counts = NOTHING
         """(2, *shape): how many scans observed each voxel of the current map, and found it free;
         empty where no scan of it was counted."""
         if (folder / PROGRESS).exists():
@@ -116,8 +117,8 @@ class _Run:
                         f"{folder}: holds another log's unfinished maps, or with other options; "
                         "remove it, or give another name"
                     )
-                self._scan, self._told = int(saved["scan"]), saved["told"]
-                self.counts = Counter(json.loads(str(saved["counts"])))
+                self._scan, self._counts = int(saved["scan"]), saved["counts"]
+                self.report = Counter(json.loads(str(saved["report"])))
         else:
             check_free(folder)
             (folder / "observations").mkdir(parents=True)
@@ -127,14 +128,13 @@ class _Run:
         on_scan(self._scan)
 
     def _save(self) -> None:
-        _put(
-            self._folder / PROGRESS,
-            np.savez,
-            told=self._told,
-            key=self._key,
-            scan=self._scan,
-            counts=json.dumps(self.counts),
-        )
+        progress = {
+            "counts": self._counts,
+            "key": self._key,
+            "scan": self._scan,
+            "report": json.dumps(self.report),
+        }
+        write_whole(self._folder / PROGRESS, encode_npz(progress))
         self._saved_s = time.monotonic()
 
     def write(self) -> None:
@@ -142,22 +142,22 @@ class _Run:
         for number, part in enumerate(self._parts()):
             if self._scan >= part.stop:
                 continue
-            kept = {
+            observations = {
                 n: self._folder / "observations" / f"{n:06d}.npz" for n in part[:: self._how.every]
             }
-            place = self._fused(part, kept)
+            place = self._fused(part, observations)
             name = f"place-{number:03d}.npz"
             write_whole(self._folder / name, encode_map(place, name))
-            for observation in kept.values():
-                self.counts.update(_observe(observation, place))
-            self.counts.update(
+            for observation in observations.values():
+                self.report.update(_observe(observation, place))
+            self.report.update(
                 maps=1,
-                observations=len(kept),
+                observations=len(observations),
                 occupied_voxels=int(np.count_nonzero(place.states == OCCUPIED)),
                 free_voxels=int(np.count_nonzero(place.states == FREE)),
             )
             self._save()
-        if not self.counts["occupied_voxels"]:
+        if not self.report["occupied_voxels"]:
             raise SceneError(
                 "no return of the log is within --reach of its sensor; expected clouds in metres"
             )
@@ -178,41 +178,40 @@ class _Run:
         positions between `low` and `high` (3,)."""
         how = self._how
         reach = np.array([how.reach_m, how.reach_m, how.rise_m])
-        least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
-        most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
-        return least, tuple((most - least).tolist())
+        first = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+        last = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
+        return first, tuple((last - first).tolist())
 
-    def _fused(self, part: range, kept: Mapping[int, Path]) -> VoxelMap:
-        """The map of some scans, which come next; those that are to be `kept` are written there."""
+    def _fused(self, part: range, observations: Mapping[int, Path]) -> VoxelMap:
+        """The map of some scans, which come next; some of them are written as `observations`."""
         positions = np.array([self._log.poses[n].position for n in part])
         first, shape = self._box(positions.min(axis=0), positions.max(axis=0))
-        if not self._told.size:
-            self._told = np.zeros((2, *shape), np.uint8)
-        (hits, misses), rest = self._told, range(self._scan, part.stop)
+        if not self._counts.size:
+            self._counts = np.zeros((2, *shape), np.uint8)
+        (hits, misses), rest = self._counts, range(self._scan, part.stop)
         for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
-            least, seen, points = window
-            met, observed = _count(hits, misses, least - first, seen)
-            self.counts.update(
+            corner, seen, points = window
+            met, observed = _count(hits, misses, corner - first, seen)
+            self.report.update(
                 scans=1,
                 returns=len(points),
                 returns_left_out=len(scan.points) - len(points),
-                scans_without_overlap=int(n > part[0] and met < LEAST_SHARED * observed),
+                scans_without_overlap=int(n > part[0] and met < MIN_OVERLAP * observed),
             )
-            if n in kept:
-                _put(
-                    kept[n],
-                    np.savez,
-                    points=points.astype(np.float32),
-                    position=scan.pose.position,
-                    quaternion=scan.pose.quaternion,
-                    time_s=np.float64(scan.time_s),
-                )
+            if n in observations:
+                observation = {
+                    "points": points.astype(np.float32),
+                    "position": scan.pose.position,
+                    "quaternion": scan.pose.quaternion,
+                    "time_s": np.float64(scan.time_s),
+                }
+                write_whole(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
             self._on_scan(1)
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
-        self._told = NOTHING
-        self.counts.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
+        self._counts = NOTHING
+        self.report.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
         low, high = box_of(hits, lambda layer: layer != UNKNOWN)
         if not high.all():
             raise SceneError("no scan of the log has a return that its maps reach")
@@ -248,14 +247,6 @@ class _Run:
                 f"{broken}; mend it and give the same command again, which goes on from scan "
                 f"{self._scan} of {len(self._log.poses)}"
             )
-
-
-def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
-    """Put arrays at `path`, complete or not at all, whenever the process is killed."""
-    draft = path.with_name(f"{path.name}.tmp")
-    with draft.open("wb") as file:
-        write(file, **arrays)
-    draft.replace(path)
 
 
 def _pace(log: Log, n: int) -> tuple[Pose, float]:
@@ -305,16 +296,19 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     return first, seen, points - here
 
 
-def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tuple[int, int]:
-    """Add a scan's window, whose first voxel is `least` (3,), to how many scans observed each voxel
-    of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
-    many there are."""
-    low, high = np.maximum(least, 0), np.minimum(least + seen.observed.shape, hits.shape)
+def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tuple[int, int]:
+    """Add a scan's window, whose first voxel is `corner` (3,), to how many scans observed each
+    voxel of the map or found it free.
+
+    Returns:
+        How many of the observed voxels an earlier scan met, and how many there are.
+    """
+    low, high = np.maximum(corner, 0), np.minimum(corner + seen.observed.shape, hits.shape)
     # where map and window overlap, in the map and in the window
-    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
+    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - corner, high - corner))
     hit, miss = hits[in_map], misses[in_map]
     observed, free = seen.observed[inside], seen.free[inside]
-    full = (observed | free) & (np.maximum(hit, miss) == MOST_TOLD)
+    full = (observed | free) & (np.maximum(hit, miss) == MAX_COUNT)
     if full.any():  # a count above 0 stays so
         hit[full] -= hit[full] >> 1
         miss[full] -= miss[full] >> 1
@@ -328,10 +322,10 @@ def _settle(hits: Counts, misses: Counts, moved_share: float) -> int:
     """Write each voxel's state into `hits`. Gives how many voxels something has moved out of."""
     moved = 0
     for hit, miss in zip(hits, misses, strict=True):  # layer by layer, for there may be very many
-        told = hit.astype(np.int64) + miss
-        gone = (hit > 0) & (hit < moved_share * told)
+        total = hit.astype(np.int64) + miss
+        gone = (hit > 0) & (hit < moved_share * total)
         moved += int(gone.sum())
-        hit[:] = np.select([told == 0, gone | (hit == 0)], [UNKNOWN, FREE], OCCUPIED)
+        hit[:] = np.select([total == 0, gone | (hit == 0)], [UNKNOWN, FREE], OCCUPIED)
     return moved
 
 
@@ -340,23 +334,16 @@ def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
     its returns in that grid, and those of them where the map says that nothing is: they were of
     something that moved on, or grazed."""
     with np.load(path) as file:
-        found = dict(file)
-    grid, here = GridSpec(), found["position"]
-    origin = grid.origin_at(here)
-    seen = sort_points(here, found["points"] + here, grid, origin)
+        observation = dict(file)
+    grid, position = GridSpec(), observation["position"]
+    origin, points = grid.origin_at(position), observation["points"] + position
+    seen = sort_points(position, points, grid, origin)
     occupancy, known = resample(place, grid, origin)
-    _put(
-        path,
-        np.savez_compressed,
-        **found,
-        origin=origin,
-        voxel_m=np.float64(grid.voxel_m),
-        observed=seen.observed,
-        free=seen.free,
-        occupancy=occupancy,
-        known=known,
-    )
-    voxels = grid.index(found["points"] + here, origin)
+    observation |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
+    observation |= {"observed": seen.observed, "free": seen.free}
+    observation |= {"occupancy": occupancy, "known": known}
+    write_whole(path, encode_npz(observation), sync=False)
+    voxels = grid.index(points, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
     outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))
     return {"observed_returns": len(within), "returns_outside_truth": outside}

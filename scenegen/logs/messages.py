@@ -37,8 +37,13 @@ def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -
 
 
 def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[str, Any]:
-    """A PointCloud2 of points (n, 3), as float32, with `more` of each, (n,), of the types in
-    `POINT_TYPES`."""
+    """Make the fields of a PointCloud2.
+
+    Args:
+        points: (n, 3), metres; written as float32.
+        header: The message's header.
+        more: Further fields of each point, (n,), of the types in `POINT_TYPES`.
+    """
     columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.rec.fromarrays([*columns.values()], dtype)

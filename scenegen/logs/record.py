@@ -68,9 +68,9 @@ def _times(curve: Floats, cruise: Cruise) -> Floats:
     """When each point (n, 3) of a curve, `FINE_M` apart, is passed, seconds (n,)."""
     bend = np.gradient(np.gradient(curve, FINE_M, axis=0), FINE_M, axis=0)
     pull = np.sqrt((bend**2).sum(axis=1))
-    most = cruise.acceleration_mps2
-    squares = np.minimum(cruise.speed_mps**2, most / np.maximum(pull, 1e-9))
-    ramp = 2 * most * FINE_M * np.arange(len(squares))
+    limit = cruise.acceleration_mps2
+    squares = np.minimum(cruise.speed_mps**2, limit / np.maximum(pull, 1e-9))
+    ramp = 2 * limit * FINE_M * np.arange(len(squares))
     squares = np.minimum.accumulate(squares - ramp) + ramp  # speeding up
     squares = (np.minimum.accumulate((squares - ramp[::-1])[::-1]) + ramp)[::-1]  # slowing down
     return np.append(0.0, np.cumsum(FINE_M / np.sqrt(squares[:-1])))
@@ -92,11 +92,11 @@ def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Ge
         if math.dist(here, goal) < apart:
             continue
         seed = int(rng.integers(1, 2**31))
-        found = connect(world.clearance, bounds, flight, (here, goal), seed)
-        if found is None:
+        solution = connect(world.clearance, bounds, flight, (here, goal), seed)
+        if solution is None:
             here = here if legs else None  # the start itself may be walled in
             continue
-        information, leg = found
+        information, leg = solution
         simplifier = og.PathSimplifier(information)
         simplifier.reduceVertices(leg)
         simplifier.smoothBSpline(leg, ROUNDS)
@@ -106,8 +106,8 @@ def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Ge
     return np.concatenate(legs)
 
 
-def _followed(positions: Floats, most_rad: float) -> Floats:
-    """Headings (n,), radians, that follow the course along positions (n, 3) by `most_rad` a step at
+def _followed(positions: Floats, max_rad: float) -> Floats:
+    """Headings (n,), radians, that follow the course along positions (n, 3) by `max_rad` a step at
     most."""
     east, north = np.diff(positions[:, :2], axis=0, append=positions[-1:, :2]).T
     moves = np.hypot(east, north) > 1e-6
@@ -115,7 +115,7 @@ def _followed(positions: Floats, most_rad: float) -> Floats:
     yaw = float(np.arctan2(north, east)[np.argmax(moves)])
     for n, course in enumerate(np.arctan2(north, east).tolist()):
         if moves[n]:  # straight up, it looks as it did before
-            yaw += max(-most_rad, min(most_rad, math.remainder(course - yaw, math.tau)))
+            yaw += max(-max_rad, min(max_rad, math.remainder(course - yaw, math.tau)))
         yaws[n] = yaw
     return yaws
 
@@ -166,8 +166,8 @@ def record(
         chain = noise
         if moving:
             first = min(number, len(poses) - 2)
-            here, there = (mounted(sensor, poses[n]) for n in (first, first + 1))
-            pace = _pace(here, there, every, corrected)
+            begin, end = (mounted(sensor, poses[n]) for n in (first, first + 1))
+            pace = _pace(begin, end, every, corrected)
             chain = in_motion(pace, noise)
         seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
         mounted_pose = mounted(sensor, pose)
@@ -182,13 +182,13 @@ def record(
         yield LogScan(number * every, mounted_pose, mounted_pose.to_body(points), more)
 
 
-def _pace(here: Pose, there: Pose, every_s: float, corrected: bool) -> Any:
+def _pace(begin: Pose, end: Pose, every_s: float, corrected: bool) -> Any:
     """The arc from one level pose to the next."""
-    yaws = [2.0 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in (here, there)]
+    yaws = [2.0 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in (begin, end)]
     turn = math.remainder(yaws[1] - yaws[0], math.tau)
     # the chord of an arc points halfway between its ends, `Motion` where it begins
     halfway = Pose.level((0.0, 0.0, 0.0), -(yaws[0] + turn / 2)).quaternion
-    moved = rotate(halfway, [there.position - here.position])[0] / every_s
+    moved = rotate(halfway, [end.position - begin.position])[0] / every_s
     forward, left, up = moved.tolist()
     return Motion(
         forward_mps=forward,

@@ -96,6 +96,6 @@ def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
         }
         header = {"stamp": stamp, "frame_id": FRAME}
         link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
-        own = {"stamp": stamp, "frame_id": SENSOR}
-        cloud = points_message(scan.points, own, **scan.more)
+        sensor_header = {"stamp": stamp, "frame_id": SENSOR}
+        cloud = points_message(scan.points, sensor_header, **scan.more)
         yield number, when, {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}

@@ -17,9 +17,7 @@ if TYPE_CHECKING:  # the command line asks for the kinds' names, and must not lo
     from scenegen.recipes.kind import WorldKind
 
 _NAMES = sorted(
-    info.name
-    for info in pkgutil.iter_modules(__path__)
-    if info.name not in ("kind", "parts", "pieces")
+    info.name for info in pkgutil.iter_modules(__path__) if info.name not in ("kind", "parts")
 )
 KINDS = Registry(
     "kind",
@@ -52,25 +50,25 @@ def find_kind(name: str) -> "type[WorldKind]":
     """
     from scenegen.recipes.kind import WorldKind
 
-    found = KINDS.find(name)
+    kind = KINDS.find(name)
     # a subclass that is no dataclass itself would have its parent's parameters alone
     if (
         len(name) > MOST_KIND_NAME
-        or not (isinstance(found, type) and issubclass(found, WorldKind))
-        or found.__abstractmethods__
-        or "__dataclass_fields__" not in vars(found)
+        or not (isinstance(kind, type) and issubclass(kind, WorldKind))
+        or kind.__abstractmethods__
+        or "__dataclass_fields__" not in vars(kind)
     ):
         raise ValueError(
             f"kind {name[:MOST_KIND_NAME]}: expected a name of at most {MOST_KIND_NAME} characters "
             "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
             "with a method `add_to`"
         )
-    known = [item.name for item in dataclasses.fields(found)]
-    crowded = (word.removeprefix("-") for word in found.crowded_by)
-    for word in itertools.chain(crowded, *found.graded.values()):
+    known = [item.name for item in dataclasses.fields(kind)]
+    crowded = (word.removeprefix("-") for word in kind.crowded_by)
+    for word in itertools.chain(crowded, *kind.graded.values()):
         if word not in known:
             raise ValueError(
                 f"kind {name}: crowded_by or graded has an unknown parameter {word!a}; "
                 f"{suggestion(word, known)}"
             )
-    return found
+    return kind

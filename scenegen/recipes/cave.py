@@ -1,6 +1,7 @@
 """A cave: chambers and tunnels between an uneven floor and an uneven roof, with stalactites and
 rocks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,9 @@ from numpy.random import Generator
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
 from lidarsim.parameters import number
+from lidarsim.solids.shapes import BOX
 from scenegen.recipes.kind import Classed, Range, Size, attitudes
 from scenegen.recipes.parts import Parts, height_at, hilly, scattered
-from scenegen.recipes.pieces import stone
 from scenegen.worlds.drawing import Drawing
 
 RAMP_M = 1.8
@@ -108,7 +109,7 @@ class Cave(Classed):
         places = scattered(self.rock_density, *plan, rng=rng)
         turns = attitudes(len(places), 1.0, rng=rng).tolist()
         for (x, y), turn in zip(places, turns, strict=True):
-            stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
+            _stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
         parts.add_to(spec)
 
     def _outside(self, shape: tuple[int, ...], *, rng: Generator) -> Floats:
@@ -156,3 +157,13 @@ def _from_segment(x: Floats, y: Floats, start: Floats, end: Floats) -> Floats:
     share = np.clip(share, 0.0, 1.0)  # the nearest point of the segment, from its start to its end
     dx, dy = x - start[0] - share * along[0], y - start[1] - share * along[1]
     return np.sqrt(dx * dx + dy * dy)
+
+
+def _stone(parts: Parts, turn: Sequence[float], *, rng: Generator) -> None:
+    """A box or an ellipsoid at the origin of a frame, at an attitude w x y z."""
+    a, b, c, flat = rng.random(4).tolist()
+    size = (0.15 + 0.6 * a, 0.15 + 0.5 * b, 0.1 + 0.4 * c)
+    if flat < 0.5:
+        parts.solid("rock", BOX, size, (0, 0, 0.1), turn)
+    else:
+        parts.ball("rock", (0, 0, 0.1), size, turn)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import number
-from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
+from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE, bounding_boxes
 from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import (
     Range,
@@ -18,7 +19,6 @@ from scenegen.recipes.kind import (
     normal,
     yaw_quaternion,
 )
-from scenegen.recipes.parts import half_height
 from scenegen.worlds.drawing import Drawing
 
 SHAPES = np.array([SPHERE, BOX, CYLINDER])
@@ -111,7 +111,7 @@ class Geometric(WorldKind):
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
         on = rng.integers(0, np.maximum(np.arange(count), 1))
-        reach = half_height(shape, size, tilt)
+        reach = _half_height(shape, size, tilt)
         standing = place < self.standing_share
         z = np.where(standing, reach, free_height)
         stacked = ~standing & (place < self.standing_share + self.stacked_share)
@@ -140,6 +140,17 @@ class Geometric(WorldKind):
             shape, size = SHAPES[kind], rng.uniform(*self.clutter_half_size_m, (count, 3))
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
-            z = half_height(shape, size, tilt) + np.abs(offset[:, 2])
+            z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
             place = np.column_stack([centre + offset[:, :2], z])
             spec.add_geoms(shape, size, place, tilt, COLOURS[kind])
+
+
+def _half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
+    """How far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their centres,
+    metres."""
+    w, x, y, z = quaternion.T
+    rotation = np.zeros((len(size), 3, 3))
+    rotation[:, 2] = np.transpose(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    )
+    return bounding_boxes(shape, size, np.zeros_like(size), rotation)[1][:, 2]

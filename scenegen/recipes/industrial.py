@@ -8,7 +8,6 @@ from numpy.random import Generator
 from lidarsim.solids.shapes import CYLINDER
 from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, scattered
-from scenegen.recipes.pieces import machine, scaffold
 from scenegen.worlds.drawing import Drawing
 
 QUARTER = np.pi / 2
@@ -86,8 +85,8 @@ class Industrial(Classed):
             self._catwalk(self._lane(parts, rng=rng), rng=rng)
         for make, density in (
             (self._tank, self.tank_density),
-            (machine, self.machine_density),
-            (scaffold, self.scaffold_density),
+            (_machine, self.machine_density),
+            (_scaffold, self.scaffold_density),
         ):
             inside = ((1.0, 1.0), (x_m - 1.0, y_m - 1.0))
             for x, y in scattered(density, x_m * y_m, *inside, rng=rng):
@@ -146,3 +145,29 @@ class Industrial(Classed):
         for n in range(int(z / 0.2)):
             low = (at + 0.25 * n, -1.0, 0.2 * n + 0.12)
             parts.box("stairs", low, (low[0] + 0.28, -0.1, 0.2 * n + 0.18))
+
+
+def _machine(parts: Parts, *, rng: Generator) -> None:
+    """Boxes and a drum on a base."""
+    x, y, z = rng.uniform((0.6, 0.4, 0.6), (2.0, 1.2, 1.8)).tolist()
+    parts.box("machine", (-x, -y, 0), (x, y, 0.25))
+    parts.box("machine", (-0.9 * x, -0.8 * y, 0.25), (0.2 * x, 0.8 * y, z))
+    parts.rod("machine", (0.2 * x, 0, 0.3 + 0.3 * z), (0.95 * x, 0, 0.3 + 0.3 * z), 0.3 * z)
+    parts.rod("pipe", (-0.5 * x, 0, z), (-0.5 * x, 0, z + rng.uniform(0.3, 3.0)), 0.08)
+    parts.box("machine", (0.9 * x, -y, 0), (0.9 * x + 0.3, -0.5 * y, 1.6))
+
+
+def _scaffold(parts: Parts, *, rng: Generator) -> None:
+    """Bays of tubes and planks."""
+    bays, lifts = (int(n) for n in rng.integers((1, 1), (4, 4)))
+    for bay in range(bays + 1):
+        for y in (0.0, 0.73):
+            parts.rod("beam", (2.0 * bay, y, 0), (2.0 * bay, y, 2.0 * lifts + 1.0), 0.024)
+    for lift in range(1, lifts + 1):
+        z = 2.0 * lift
+        parts.box("stairs", (0, 0.05, z), (2.0 * bays, 0.68, z + 0.05))
+        for y in (0.0, 0.73):
+            for up in (0.0, 1.0):
+                parts.rod("beam", (0, y, z + up), (2.0 * bays, y, z + up), 0.024)
+        for bay in range(bays):
+            parts.rod("beam", (2.0 * bay, 0, z - 2.0), (2.0 * bay + 2.0, 0, z), 0.024)

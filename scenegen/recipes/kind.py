@@ -59,17 +59,17 @@ class WorldKind(ABC):
 
     def __post_init__(self) -> None:
         check(self, bounds_by_name)
-        if (whole := sum(getattr(self, name) for name in self.shares)) > 1:
-            raise ValueError(f"{' + '.join(self.shares)} = {whole}: expected at most 1")
-        most = self.most_solids()
-        if most > MOST_DRAWN_SOLIDS:
-            given = ", ".join(
+        if (total := sum(getattr(self, name) for name in self.shares)) > 1:
+            raise ValueError(f"{' + '.join(self.shares)} = {total}: expected at most 1")
+        solids = self.most_solids()
+        if solids > MOST_DRAWN_SOLIDS:
+            parameters = ", ".join(
                 f"{(plain := name.removeprefix('-'))} = {shown(getattr(self, plain))}"
                 for name in self.crowded_by
             )
             raise ValueError(
-                f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, "
-                f"expected {MOST_DRAWN_SOLIDS} at most; have fewer, or lower size_m"
+                f"{parameters}: up to {solids:.4g} solids in a world of {list(self.size_m)} "
+                f"metres, expected {MOST_DRAWN_SOLIDS} at most; have fewer, or lower size_m"
             )
 
     def most_solids(self) -> float:

@@ -125,13 +125,13 @@ class Maze(Classed):
         joined. `low` (3,) is the cell's least corner, and `edges` (3,) are its edges, metres."""
         begin, end, size_m = low.tolist(), (low + edges).tolist(), edges.tolist()
         along = [n for n in range(3) if n != axis]
-        least, most = self.window_m
+        narrowest, widest = self.window_m
         places = (chances.size_0, chances.place_0), (chances.size_1, chances.place_1)
         window: list[Span] = []
         for n, (size, place) in zip(along, places, strict=True):
-            wide = min(least + size * (most - least), size_m[n] - 0.2)
+            wide = min(narrowest + size * (widest - narrowest), size_m[n] - 0.2)
             if axis < 2 and chances.slit < self.slit_share:
-                wide = size_m[2] if n == 2 else least
+                wide = size_m[2] if n == 2 else narrowest
             start = begin[n] + place * (size_m[n] - wide)
             window.append((start, start + wide))
         whole = [(begin[n], end[n]) for n in along]

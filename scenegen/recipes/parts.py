@@ -2,16 +2,16 @@
 ground; and places by density."""
 
 import itertools
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats, Ints, Vector
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, bounding_boxes
+from lidarsim.grid import Floats, Vector
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 Point = Sequence[float]
@@ -20,7 +20,7 @@ Span = tuple[float, float]
 """From where to where along an axis, metres."""
 Rectangle = tuple[float, float, float, float]
 """Least x and y, greatest x and y, metres."""
-MOST_CELLS = 500_000
+MAX_CELLS = 500_000
 """The most points of a lattice of noise or of heights."""
 
 
@@ -62,8 +62,16 @@ class Parts:
         whole: Sequence[Span],
         opening: Sequence[Span] | None,
     ) -> None:
-        """A wall across an axis at `at`, twice `half` thick, with at most one rectangular opening.
-        `whole` and `opening` are spans along the two other axes."""
+        """A wall with at most one rectangular opening.
+
+        Args:
+            of_class: Its class.
+            axis: The axis across it.
+            at: Where its middle is on that axis, metres.
+            half: Half its thickness, metres.
+            whole: Its spans along the two other axes.
+            opening: Those of the opening.
+        """
         (u0, u1), (v0, v1) = whole
         (a0, a1), (b0, b1) = opening or ((u1, u1), (v0, v0))
         pieces = [((u0, a0), (v0, v1)), ((a1, u1), (v0, v1))]
@@ -129,84 +137,46 @@ class Parts:
             spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
 
 
-def join(homes: dict[Any, Any], one: Any, other: Any) -> bool:
+def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:
     """Join two things, directly or by others: whether they were not joined before. `homes` says of
     each what it was joined to (union and find, Galler and Fischer 1964)."""
-    while one in homes:
-        one = homes[one]
-    while other in homes:
-        other = homes[other]
-    if one == other:
+    while first in homes:
+        first = homes[first]
+    while second in homes:
+        second = homes[second]
+    if first == second:
         return False
-    homes[one] = other
+    homes[first] = second
     return True
 
 
-def divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> list[Rectangle]:
-    """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
-    divided, none becomes shorter."""
-    x0, y0, x1, y1 = room
-    longer, (least, most) = max(x1 - x0, y1 - y0), edges_m
-    if longer < 2 * least or longer <= rng.uniform(max(2 * least, least + 1), most):
-        return [room]
-    at = rng.uniform(least, longer - least)
-    if x1 - x0 >= y1 - y0:
-        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
-    else:
-        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
-    return [part for one in halves for part in divided(one, edges_m, rng=rng)]
-
-
-class Edge(NamedTuple):
-    """Where a rectangle touches another, or the rim of the plan."""
-
-    axis: int
-    """The one across the edge."""
-    at: float
-    """Where the edge is on that axis, metres."""
-    low: float
-    """Where it begins on the other axis, metres."""
-    high: float
-    """Where it ends."""
-
-
-def shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[Edge, tuple[int, int]]]:
-    """Where rectangles touch, and the numbers of the two."""
-    found = []
-    for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
-        for axis in (0, 1):
-            along = 1 - axis
-            low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
-            for first, second in ((one, other), (other, one)):
-                if first[axis + 2] == second[axis] and high - low > 1e-9:
-                    found.append((Edge(axis, second[axis], low, high), (a, b)))
-    return found
-
-
-def rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[Edge]:
-    """Where rectangles touch the rim of a plan of `size_m` from the origin."""
-    for room in rooms:
-        for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
-            if room[side] in (0.0, size_m[axis]):
-                yield Edge(axis, room[side], room[1 - axis], room[3 - axis])
-
-
 def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
-    """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
-    random values at the corners of a lattice, interpolated (value noise)."""
+    """Draw smooth noise: random values at the corners of a lattice, interpolated (value noise).
+
+    Args:
+        points: (n, d), d at most 3.
+        cell_m: Width of its hills.
+        rng: What it is drawn by.
+
+    Returns:
+        (n,): from 0 to 1.
+
+    Raises:
+        ValueError: The lattice has more than `MAX_CELLS` points.
+    """
     scaled = (points - points.min(axis=0)) / cell_m
     whole = np.floor(scaled).astype(np.int64)
     part = scaled - whole
     part = part * part * (3.0 - 2.0 * part)
     _check_cells(float(np.prod(whole.max(axis=0) + 2.0)), f"noise of {cell_m:g} m")
     lattice = rng.random(tuple(whole.max(axis=0) + 2))
-    found = np.zeros(len(points))
+    noise = np.zeros(len(points))
     for corner in itertools.product((0, 1), repeat=points.shape[1]):
         weight = np.ones(len(points))
         for axis, far in enumerate(corner):
             weight = weight * (part[:, axis] if far else 1.0 - part[:, axis])
-        found += weight * lattice[tuple((whole + np.array(corner)).T)]
-    return found
+        noise += weight * lattice[tuple((whole + np.array(corner)).T)]
+    return noise
 
 
 def hilly(
@@ -231,9 +201,9 @@ def hilly(
 
 def _check_cells(cells: float, what: str) -> None:
     """Raise ValueError where a lattice would take too much memory."""
-    if cells > MOST_CELLS:
+    if cells > MAX_CELLS:
         raise ValueError(
-            f"{what} has {cells:.3g} points, expected {MOST_CELLS} at most; lower size_m, or make "
+            f"{what} has {cells:.3g} points, expected {MAX_CELLS} at most; lower size_m, or make "
             f"it coarser"
         )
 
@@ -250,20 +220,18 @@ def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> f
 def scattered(
     density: ArrayLike, area_m2: float, low: Point, high: Point, *, rng: Generator
 ) -> list[list[float]]:
-    """Points (n, k) between two corners of k numbers: as many as there are on an area by a density
-    a square metre, drawn between two bounds."""
-    least, most = np.asarray(density).tolist()
-    n = round(rng.uniform(least, most) * area_m2)
-    found: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
-    return found
+    """Draw points between two corners.
 
+    Args:
+        density: Least and greatest number of points per square metre.
+        area_m2: The area that counts, square metres.
+        low: The least corner, k numbers.
+        high: The greatest corner.
+        rng: What they are drawn by.
 
-def half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
-    """How far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their centres,
-    metres."""
-    w, x, y, z = quaternion.T
-    rotation = np.zeros((len(size), 3, 3))
-    rotation[:, 2] = np.transpose(
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    )
-    return bounding_boxes(shape, size, np.zeros_like(size), rotation)[1][:, 2]
+    Returns:
+        n points of k numbers each.
+    """
+    n = round(rng.uniform(*np.asarray(density).tolist()) * area_m2)
+    points: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
+    return points

@@ -1,15 +1,19 @@
 """A storey of a building: rooms and corridors with doors, windows, ceilings and furniture."""
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size
-from scenegen.recipes.parts import Parts, Rectangle, divided, join, rim_edges, shared_edges
-from scenegen.recipes.pieces import furnish, stairs
+from scenegen.recipes.parts import Parts, Point, Rectangle, join
 from scenegen.worlds.drawing import Drawing
+
+PIECES = ("table", "chair", "shelf", "cupboard", "sofa")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +90,14 @@ class Rooms(Classed):
         low = rng.uniform(0.35, 0.65) * y_m - wide / 2
         rooms = [(0.0, low, x_m, low + wide)]
         for side in ((0.0, 0.0, x_m, low), (0.0, low + wide, x_m, y_m)):
-            rooms += divided(side, self.room_m, rng=rng)
+            rooms += _divided(side, self.room_m, rng=rng)
         doors = self._add_walls(parts, rooms, height, half, rng=rng)
         density = rng.uniform(*self.furniture_density)
         for n, room in enumerate(rooms):
             if rng.random() < self.ceiling_share:
                 parts.box("ceiling", (*room[:2], height), (*room[2:], height + 0.2))
             if n > 0:
-                furnish(parts, room, doors[n], density, rng=rng)
+                _furnish(parts, room, doors[n], density, rng=rng)
                 self._fit_out(parts, room, height, rng=rng)
         parts.add_to(spec)
 
@@ -108,7 +112,7 @@ class Rooms(Classed):
     ) -> list[list[tuple[float, float]]]:
         """Walls between rooms, with doors, and around all, with windows; the doors' places, by
         room. Walls are `height` high and twice `half` thick, metres."""
-        shared, joins = shared_edges(rooms), dict[int, int]()
+        shared, joins = _shared_edges(rooms), dict[int, int]()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
         for n in rng.permutation(len(shared)).tolist():
             (axis, at, low, high), beside = shared[n]
@@ -128,7 +132,7 @@ class Rooms(Classed):
             # so much longer that walls meet in the corners
             span = ((low - half, high + half), (0.0, height))
             parts.wall("wall", axis, at, half, span, door)
-        for axis, at, low, high in rim_edges(rooms, self.size_m):
+        for axis, at, low, high in _rim_edges(rooms, self.size_m):
             sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
             begin = (low + high - width) / 2
             window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
@@ -141,8 +145,115 @@ class Rooms(Classed):
         x0, y0, x1, y1 = room
         rising, columns = rng.random(2).tolist()
         if rising < self.stairs_share and x1 - x0 > 5 and y1 - y0 > 3:
-            stairs(parts, (x0 + 1, y0 + 0.2, 0.0), x1 - x0 - 2, height)
+            _stairs(parts, (x0 + 1, y0 + 0.2, 0.0), x1 - x0 - 2, height)
         if columns < self.column_share and min(x1 - x0, y1 - y0) > 4:
             radius = rng.uniform(0.12, 0.3)
             for x in np.arange(x0 + 2, x1 - 1, 4.0).tolist():
                 parts.rod("column", (x, (y0 + y1) / 2, 0), (x, (y0 + y1) / 2, height), radius)
+
+
+def _divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> list[Rectangle]:
+    """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
+    divided, none becomes shorter."""
+    x0, y0, x1, y1 = room
+    longer, (shortest, longest) = max(x1 - x0, y1 - y0), edges_m
+    if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
+        return [room]
+    at = rng.uniform(shortest, longer - shortest)
+    if x1 - x0 >= y1 - y0:
+        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
+    else:
+        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
+    return [part for half in halves for part in _divided(half, edges_m, rng=rng)]
+
+
+class _Edge(NamedTuple):
+    """Where a rectangle touches another, or the rim of the plan."""
+
+    axis: int
+    """The one across the edge."""
+    at: float
+    """Where the edge is on that axis, metres."""
+    low: float
+    """Where it begins on the other axis, metres."""
+    high: float
+    """Where it ends."""
+
+
+def _shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[_Edge, tuple[int, int]]]:
+    """Where rectangles touch, and the numbers of the two."""
+    edges = []
+    for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
+        for axis in (0, 1):
+            along = 1 - axis
+            low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
+            for first, second in ((one, other), (other, one)):
+                if first[axis + 2] == second[axis] and high - low > 1e-9:
+                    edges.append((_Edge(axis, second[axis], low, high), (a, b)))
+    return edges
+
+
+def _rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[_Edge]:
+    """Where rectangles touch the rim of a plan of `size_m` from the origin."""
+    for room in rooms:
+        for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
+            if room[side] in (0.0, size_m[axis]):
+                yield _Edge(axis, room[side], room[1 - axis], room[3 - axis])
+
+
+def _furniture(parts: Parts, kind: str, *, rng: Generator) -> None:
+    """A piece of furniture around the origin of a frame."""
+    a, b, c = rng.random(3).tolist()
+    if kind == "table":
+        x, y, z = 0.6 + 0.4 * a, 0.35 + 0.2 * b, 0.72 + 0.06 * c
+        parts.box("furniture", (-x, -y, z - 0.04), (x, y, z))
+        _legs(parts, x, y, z - 0.04)
+    elif kind == "chair":
+        parts.box("furniture", (-0.22, -0.22, 0.41), (0.22, 0.22, 0.45))
+        parts.box("furniture", (-0.22, 0.18, 0.45), (0.22, 0.22, 0.85 + 0.2 * a))
+        _legs(parts, 0.22, 0.22, 0.41)
+    elif kind == "shelf":
+        x, y, z = 0.4 + 0.4 * a, 0.15 + 0.08 * b, 1.2 + 0.9 * c
+        for side in (-x, x):
+            parts.box("shelf", (side - 0.02, -y, 0), (side + 0.02, y, z))
+        for level in np.linspace(0.1, z, 5).tolist():
+            parts.box("shelf", (-x, -y, level - 0.03), (x, y, level))
+    elif kind == "cupboard":
+        parts.box("furniture", (-0.4 - 0.4 * a, -0.3, 0), (0.4 + 0.4 * a, 0.3, 0.8 + 1.3 * c))
+    else:
+        x = 0.7 + 0.5 * a
+        parts.box("furniture", (-x, -0.45, 0), (x, 0.45, 0.42))
+        parts.box("furniture", (-x, 0.25, 0.42), (x, 0.45, 0.85))
+        for side in (-x, x - 0.15):
+            parts.box("furniture", (side, -0.45, 0.42), (side + 0.15, 0.45, 0.62))
+
+
+def _legs(parts: Parts, x: float, y: float, z: float) -> None:
+    for dx, dy in ((-x, -y), (-x, y - 0.05), (x - 0.05, -y), (x - 0.05, y - 0.05)):
+        parts.box("furniture", (dx, dy, 0), (dx + 0.05, dy + 0.05, z))
+
+
+def _furnish(
+    parts: Parts,
+    room: Rectangle,
+    doors: Sequence[tuple[float, float]],
+    density: float,
+    *,
+    rng: Generator,
+) -> None:
+    """Furniture in a room, so many pieces a square metre, and none before its doors."""
+    x0, y0, x1, y1 = room
+    pieces = round(density * (x1 - x0) * (y1 - y0) + rng.uniform(-0.5, 0.5))
+    inside = ((x0 + 0.9, y0 + 0.9), (max(x1 - 0.9, x0 + 0.9), max(y1 - 0.9, y0 + 0.9)))
+    for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
+        kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
+        if all((px - x) ** 2 + (py - y) ** 2 > 1.7 for x, y in doors):
+            _furniture(parts.at(px, py, 0.0, turn * (np.pi / 2)), PIECES[kind], rng=rng)
+
+
+def _stairs(parts: Parts, low: Point, length: float, height: float) -> None:
+    """Steps along x that rise from `low` until `length` or `height` ends them, metres."""
+    x, y, z = low
+    for n in range(min(int(height / 0.17), int(length / 0.28))):
+        step = (x + 0.28 * n, y, z + max(0.17 * n - 0.2, 0.0))
+        parts.box("stairs", step, (step[0] + 0.3, y + 1.1, z + 0.17 * (n + 1)))

@@ -7,11 +7,12 @@ from numpy.random import Generator
 
 from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts
-from scenegen.recipes.pieces import conveyor, pallet, truss
 from scenegen.worlds.drawing import Drawing
 
 BAY_M = 2.7
 """Width of a bay of a rack for three pallets, metres (EN 15620)."""
+PALLET_M = (1.2, 0.8, 0.15)
+"""A EUR pallet (EN 13698-1), metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,16 +91,16 @@ class Warehouse(Classed):
                     bays = int((high - low) / BAY_M)
                     self._rack(parts.at(x, low), bays, levels, tall, fill, rng=rng)
             elif belt < self.conveyor_share:
-                conveyor(parts.at(x + 0.6, 1.0), y_m - 2.0, rng=rng)
+                _conveyor(parts.at(x + 0.6, 1.0), y_m - 2.0, rng=rng)
             else:
                 area = 2.2 * (y_m - 2.0)
                 drawn = rng.uniform((x, 1.0), (x + 2.2, y_m - 1.0), (round(goods * area), 2))
                 for a, b in drawn.tolist():
-                    pallet(parts.at(a, b, 0.0, rng.uniform(0.0, np.pi)), rng=rng)
+                    _pallet(parts.at(a, b, 0.0, rng.uniform(0.0, np.pi)), rng=rng)
             x += 2.2 + aisle
         if rng.random() < self.truss_share:
             for y in np.arange(2.5, y_m, 5.0).tolist():
-                truss(parts.at(0.0, y, z_m - 1.2), x_m)
+                _truss(parts.at(0.0, y, z_m - 1.2), x_m)
         parts.add_to(spec)
 
     def _rack(
@@ -130,3 +131,31 @@ class Warehouse(Classed):
                     top, long = sizes[side][bay]
                     low = (0.05 + 1.1 * side, BAY_M * bay + 0.13, z)
                     parts.box("goods", low, (low[0] + 1.0, low[1] + long - 0.1, z + top))
+
+
+def _pallet(parts: Parts, *, rng: Generator) -> None:
+    """A pallet with a load, around the origin of a frame."""
+    x, y, z = (PALLET_M[0] / 2, PALLET_M[1] / 2, PALLET_M[2])
+    parts.box("goods", (-x, -y, 0), (x, y, z))
+    a, b, c = rng.random(3).tolist()
+    parts.box("goods", (-x * (0.6 + 0.4 * a), -y, z), (x, y * (0.6 + 0.4 * b), z + 0.3 + 1.4 * c))
+
+
+def _conveyor(parts: Parts, long: float, *, rng: Generator) -> None:
+    """A belt along y on legs, with goods on it."""
+    high = rng.uniform(0.7, 2.6)
+    parts.box("machine", (-0.4, 0, high - 0.15), (0.4, long, high))
+    for y in np.arange(0.5, long, 2.5).tolist():
+        for x in (-0.4, 0.34):
+            parts.box("machine", (x, y, 0), (x + 0.06, y + 0.06, high))
+    for y, a, b in rng.uniform((0.5, 0.2, 0.2), (long - 1, 0.6, 0.6), (int(long / 3), 3)).tolist():
+        parts.box("goods", (-a / 2, y, high), (a / 2, y + a, high + b))
+
+
+def _truss(parts: Parts, long: float) -> None:
+    """Two chords along x with posts and diagonals between them."""
+    for z in (0.0, 1.0):
+        parts.box("beam", (0, -0.08, z), (long, 0.08, z + 0.16))
+    for x in np.arange(0.0, long - 2.4, 2.5).tolist():
+        parts.box("beam", (x, -0.05, 0.1), (x + 0.1, 0.05, 1.0))
+        parts.limb("beam", (x, 0, 0.1), (x + 2.5, 0, 1.0), 0.05)

@@ -15,7 +15,7 @@ from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""
-MOST_CELLS = 250_000
+MAX_CELLS = 250_000
 """In a box that would hold more, cells are larger."""
 CAP_M = 1.0
 """Distances are known exactly up to this; beyond it they count as this."""
@@ -36,7 +36,7 @@ class Clearance:
         low, high = bounds[0, :2], bounds[1, :2]
         extent = high - low
         cell_m = max(
-            CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS
+            CELL_M, float(np.sqrt(extent.prod() / MAX_CELLS)), float(extent.max()) / MAX_CELLS
         )
         cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
         corners = solids.triangles
@@ -187,10 +187,10 @@ def _motion_is_free(p, q, radius, arguments):
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # the walk below cannot pass a point that is closer than asked by two of its steps, and most
     # motions that it would refuse have one here
-    least = radius - 2 * STEP_M
+    too_near = radius - 2 * STEP_M
     for s in (1.0, 0.5):
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        if _clearance(x, y, z, radius, least, arguments) < least:
+        if _clearance(x, y, z, radius, too_near, arguments) < too_near:
             return False
     t = 0.0
     while True:

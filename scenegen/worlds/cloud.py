@@ -15,7 +15,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.parameters import MIN_RETURN_M, Checked, number
-from lidarsim.pose import rotate
+from lidarsim.pose import Pose, rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import clear
 from scenegen.clouds import Cloud, ReadReport, check_scan, read_cloud
@@ -26,9 +26,9 @@ from scenegen.poses import has_camera, read_numbers, read_poses
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
 second."""
-Frame: TypeAlias = tuple[Floats | None, Floats]
-"""A sensor's axes as rows (3, 3), None where its points are in the world's frame; and where it was,
-(1, 3) or (N, 3)."""
+Placement: TypeAlias = Pose | Floats
+"""The pose of a sensor in whose frame the points are; or where it was, (1, 3), in the frame of the
+points."""
 FARTHEST_M = 1e12
 """A point or a ray beyond this is not in any map."""
 
@@ -53,7 +53,7 @@ class Survey(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
+class CloudMap:
     """A map, and what it was made of."""
 
     voxels: VoxelMap
@@ -74,7 +74,7 @@ def map_clouds(
     poses: Path | None = None,
     box: Sequence[float] | None = None,
     columns: int | None = None,
-) -> Surveyed:
+) -> CloudMap:
     """One map of several clouds of one place. Where a voxel has both points and rays through it, it
     is occupied.
 
@@ -95,17 +95,17 @@ def map_clouds(
         DatasetError: A file cannot be read, or holds what no sensor returns.
     """
     survey = survey or Survey()
-    frames = None if poses is None else _read_poses(poses, files)
+    placements: Sequence[Placement | None] = [
+        None if sensor is None else np.array([sensor], float)
+    ] * len(files)
+    if poses is not None:
+        placements = _read_poses(poses, files)
 
     @functools.lru_cache(maxsize=1)
-    def read(index: int) -> _Seen:
-        frame: Frame | None = None
-        if frames is not None:
-            frame = frames[index]
-        elif sensor is not None:
-            frame = None, np.array([sensor], float)
+    def read(index: int) -> _Returns:
         cloud = read_cloud(files[index], MOST_CLOUD_BYTES, columns=columns)
-        return _placed(cloud, frame, survey, str(files[index]), boxed=box is not None)
+        name = str(files[index])
+        return _returns(cloud, placements[index], survey, name, is_boxed=box is not None)
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -128,7 +128,7 @@ def map_clouds(
         report.add(seen.recorded, seen.layout, seen.recorded - len(seen.points))
         points += _carve(
             seen.points - offset,
-            seen.sensors - offset,
+            seen.origins - offset,
             origin,
             survey.voxel_m,
             states.reshape(-1),
@@ -139,15 +139,15 @@ def map_clouds(
     if survey.assume_free:
         states[np.logical_or.accumulate(occupied, axis=2)] = FREE
     states[occupied] = OCCUPIED
-    return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points, str(report))
+    return CloudMap(VoxelMap(states, survey.voxel_m, origin), offset, points, str(report))
 
 
-class _Seen(NamedTuple):
-    """What a file says, in the map's axes, metres."""
+class _Returns(NamedTuple):
+    """The returns of a file, in the map's axes, metres."""
 
     points: Floats
-    """(N, 3): its returns."""
-    sensors: Floats
+    """(N, 3)."""
+    origins: Floats
     """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if nobody knows."""
     layout: str
     """See `Cloud`."""
@@ -155,76 +155,73 @@ class _Seen(NamedTuple):
     """Points in the file, returns and others."""
 
 
-def _placed(
-    cloud: Cloud,
-    frame: Frame | None,
-    survey: Survey,
-    where: str,
-    *,
-    boxed: bool,
-) -> _Seen:
+def _returns(
+    cloud: Cloud, placement: Placement | None, survey: Survey, where: str, *, is_boxed: bool
+) -> _Returns:
     """The returns of a cloud, in the map's axes.
 
-    What is no return is told in the sensor's frame, before the points are moved. Where nobody knows
-    the sensor, all finite points are returns: 0 0 0 is a place in a registered cloud.
+    Points without a return are dropped in the sensor's frame, before points are moved. If nobody
+    knows the sensor, all finite points are returns: 0 0 0 is a place in a registered cloud.
 
     Args:
-        cloud: What was read of a file.
-        frame: Of the sensor; None where the cloud itself says where it was.
+        cloud: The points of a file.
+        placement: None if the cloud itself says where the sensor was.
         survey: How it is read.
         where: The file, for errors.
-        boxed: Whether far points are cut off anyway.
+        is_boxed: Whether far points are cut off anyway.
 
     Raises:
         SceneError: Nobody knows the sensor, and nothing is assumed to be free.
         DatasetError: A point is farther from its sensor than any return.
     """
-    axes, sensors = (None, cloud.sensors) if frame is None else frame
-    if sensors is None:
+    points, pose, origins = cloud.points, None, cloud.origins
+    if isinstance(placement, Pose):
+        pose, origins = placement, np.zeros((1, 3))
+    elif placement is not None:
+        origins = placement
+    if origins is None:
         if not survey.assume_free:
             raise SceneError(
                 f"{where}: does not say where its sensor was, so nothing in it is known to be "
                 "free; give scenegen map --sensor or --poses, or --assume-free for all above the "
                 "ground"
             )
-        returned, sensors = np.isfinite(cloud.points).all(axis=1), np.zeros((0, 3))
-    else:
-        start = sensors if axes is None else np.zeros(3)
-        rows, starts = cloud.points * survey.unit_m, start * survey.unit_m
-        if not boxed:
-            check_scan(rows, starts, where)
-        returned = are_returns(rows, starts, survey.least_m)
-    points = cloud.points[returned]
-    if axes is not None:
-        points = points @ axes + sensors
-    if len(sensors) > 1:
-        sensors = sensors[returned]
-    return _Seen(
-        _upright(points, survey), _upright(sensors, survey), cloud.layout, len(cloud.points)
+        points = points[np.isfinite(points).all(axis=1)]
+        return _Returns(_upright(points, survey), np.zeros((0, 3)), cloud.layout, len(cloud.points))
+    rows, starts = points * survey.unit_m, origins * survey.unit_m
+    if not is_boxed:
+        check_scan(rows, starts, where)
+    returned = are_returns(rows, starts, survey.least_m)
+    points = points[returned]
+    if pose is not None:
+        points = rotate(pose.quaternion, points) + pose.position
+        origins = pose.position[None]
+    elif len(origins) > 1:
+        origins = origins[returned]
+    return _Returns(
+        _upright(points, survey), _upright(origins, survey), cloud.layout, len(cloud.points)
     )
 
 
-def _read_poses(path: Path, files: Sequence[Path]) -> list[Frame]:
-    """The frame of each file's sensor. Raises DatasetError and SceneError."""
-    count = len(files)
+def _read_poses(path: Path, files: Sequence[Path]) -> Sequence[Placement]:
+    """The placement of each file's sensor. Raises DatasetError and SceneError."""
     names, rows = read_numbers(path)
-    found: list[Frame]
+    placements: Sequence[Placement]
     if not names and rows.shape[1] == 3:
-        found = [(None, row[None]) for row in rows]
+        placements = list(rows[:, None])
     else:
-        poses = read_poses(path, timed=False).poses
+        placements = read_poses(path, timed=False).poses
         calibration = files[0].resolve().parent.parent / "calib.txt"
         if not names and rows.shape[1] == 12 and has_camera(calibration):
             raise SceneError(
                 f"{path}: has matrices as KITTI's, and {calibration} a Tr, so they may be those of "
                 "its camera; use scenegen ingest, or give the sensor's poses as TUM writes them"
             )
-        found = [(rotate(one.quaternion, np.eye(3)), one.position[None]) for one in poses]
-    if len(found) != count:
+    if len(placements) != len(files):
         raise SceneError(
-            f"{path}: {len(found)} poses, expected {count}, one for each file of points"
+            f"{path}: {len(placements)} poses, expected {len(files)}, one for each file of points"
         )
-    return found
+    return placements
 
 
 def _upright(points: Floats, survey: Survey) -> Floats:

@@ -26,8 +26,8 @@ SHAPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box"
 """What MJCF calls shapes, by MuJoCo's codes."""
 SIZES = {SPHERE: 1, CAPSULE: 2, ELLIPSOID: 3, CYLINDER: 2, BOX: 3, HFIELD: 0}
 """Shapes that are written here, and how many sizes they have."""
-MOST_WRITTEN = 4096
-"""The most solids of a document without a <size memory> of its own, see `least_memory`."""
+MAX_WRITTEN = 4096
+"""The most solids of a document without a <size memory> of its own, see `memory_bytes`."""
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 """Attitude, w x y z, of solids that are given none."""
 COLUMNS = (slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 14))
@@ -138,13 +138,13 @@ class Drawing:
             of_class: Its class.
         """
         x, y, z = np.asarray(position, float).tolist()
-        least, most = float(heights.min()), float(heights.max())
-        span = max(most - least, 1e-3)
+        lowest = float(heights.min())
+        span = max(float(heights.max()) - lowest, 1e-3)
         size = (size_m[0] / 2, size_m[1] / 2, span, depth_m)
         # a ceiling is turned about the x axis, which mirrors y
         field = HeightField(f"field{self._fields}", size, heights[::-1] if hanging else heights)
         self._fields += 1
-        place = (x, y, z - least if hanging else z + least)
+        place = (x, y, z - lowest if hanging else z + lowest)
         turn = (0.0, 1.0, 0.0, 0.0) if hanging else UPRIGHT
         row = np.array([0.0, 0.0, 0.0, *place, *turn, *COLOUR])
         self._add([Solid(HFIELD, row, of_class, field)])
@@ -184,26 +184,27 @@ class Drawing:
     def mjcf(self) -> bytes:
         """The document, UTF-8. Raises ValueError for what MuJoCo does not take, and BrokenError for
         what no reader of the archive would."""
-        if self._spec is None and len(self._solids) <= MOST_WRITTEN:
+        if self._spec is None and len(self._solids) <= MAX_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:
-                classes = tuple(dict.fromkeys(one.material for one in self._solids if one.material))
-                fields = tuple(one.field for one in self._solids if one.field)
+                classes = tuple(
+                    dict.fromkeys(solid.material for solid in self._solids if solid.material)
+                )
+                fields = tuple(solid.field for solid in self._solids if solid.field)
                 before, after = (_around if fields else _around_solids)(
                     self._bounds, classes, fields
                 )
                 return f"{before}{lines}{after}".encode()
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
-        self._spec.memory = least_memory(len(self._spec.geoms))
+        self._spec.memory = memory_bytes(len(self._spec.geoms))
         document: bytes = self._spec.to_xml().encode()
         screen(document, {}, "its document")
         return document
 
 
-def least_memory(geoms: int) -> int:
-    """Bytes for MuJoCo's <size memory>: as little as will do, for they are taken anew for every
-    world."""
+def memory_bytes(geoms: int) -> int:
+    """Bytes for MuJoCo's <size memory>: few, since they are allocated for every world."""
     return max(1 << 20, 256 * geoms)
 
 
@@ -238,7 +239,7 @@ def _around(
         _add_class(spec, name)
     for field in fields:
         _add_field(spec, field)
-    spec.memory = least_memory(0)
+    spec.memory = memory_bytes(0)
     if fields:
         spec.compile()  # which gives heights their scale
     before, light, after = spec.to_xml().partition(_PLACE)
@@ -271,30 +272,38 @@ def _lines(solids: list[Solid]) -> str | None:
 def _line(solid: Solid, row: list[float]) -> str:
     """A geom's line, with six digits for every number that is written, as C++ writes them."""
     count, place, turn, colour = SIZES[solid.shape], row[3:6], row[6:10], row[10:]
-    line = "    <geom" + (_said("size", row[:count]) if count else "")
-    line += _said("pos", place) if any(place) else ""
-    line += _said("quat", turn) if tuple(turn) != UPRIGHT else ""
+    line = "    <geom" + (_attribute("size", row[:count]) if count else "")
+    line += _attribute("pos", place) if any(place) else ""
+    line += _attribute("quat", turn) if tuple(turn) != UPRIGHT else ""
     line += f' type="{SHAPES[solid.shape]}"' if solid.shape != SPHERE else ""
-    line += _said("rgba", colour) if tuple(colour) != COLOUR else ""
+    line += _attribute("rgba", colour) if tuple(colour) != COLOUR else ""
     line += f' material="{solid.material}"' if solid.material else ""
     return line + (f' hfield="{solid.field.name}"' if solid.field else "") + "/>\n"
 
 
-def _said(name: str, numbers: list[float]) -> str:
+def _attribute(name: str, numbers: list[float]) -> str:
     return f' {name}="{" ".join([f"{number:.6g}" for number in numbers])}"'
 
 
 def flatten(
     model: mujoco.MjModel, data: mujoco.MjData, *, materials: bool = False
 ) -> tuple[bytes, dict[str, bytes]]:
-    """The document of `model` as `data` stands, and the files that it refers to, by name.
+    """Write a compiled model as MJCF.
+
+    Args:
+        model: The model.
+        data: Where its geoms are.
+        materials: Whether the names of materials are kept.
+
+    Returns:
+        The document, and the files that it refers to, by name.
 
     Colours are those that decide what rays see. Planes become infinite, as they are for collisions
     and for the truth: rays would pass beside the rectangle that is drawn. Joints, skins, textures,
-    and what else no ray meets, are left out; materials too, unless `materials` keeps their names.
+    and what else no ray meets, are left out.
     """
     root = ElementTree.Element("mujoco", model="scenegen")
-    ElementTree.SubElement(root, "size", memory=str(least_memory(model.ngeom)))
+    ElementTree.SubElement(root, "size", memory=str(memory_bytes(model.ngeom)))
     custom = ElementTree.SubElement(root, "custom")
     for number in map(model.numeric, range(model.nnumeric)):
         if number.name == FLIGHT_BOUNDS:
@@ -302,7 +311,7 @@ def flatten(
     asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
     files: dict[str, bytes] = {}
     named: dict[tuple[int, int], str] = {}
-    worn: dict[str, str] = {}
+    used: dict[str, str] = {}
     for geom in np.flatnonzero(model.geom_type <= MESH):
         shape, number = int(model.geom_type[geom]), int(model.geom_dataid[geom])
         about = {
@@ -322,15 +331,15 @@ def flatten(
             about["size"] = "0 0 1" if shape == PLANE else _exact(model.geom_size[geom])
         if model.geom_group[geom]:
             about["group"] = str(model.geom_group[geom])
-        dress = model.geom_matid[geom]
-        about["rgba"] = _exact(model.mat_rgba[dress] if dress >= 0 else model.geom_rgba[geom])
-        if materials and dress >= 0:
-            about["material"] = model.mat(int(dress)).name
-            worn[about["material"]] = about["rgba"]
+        material = model.geom_matid[geom]
+        about["rgba"] = _exact(model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom])
+        if materials and material >= 0:
+            about["material"] = model.mat(int(material)).name
+            used[about["material"]] = about["rgba"]
         if shape == MESH:  # then MuJoCo needs no convex hull
             about |= {"contype": "0", "conaffinity": "0"}
         ElementTree.SubElement(world, "geom", about)
-    for name, rgba in worn.items():
+    for name, rgba in used.items():
         ElementTree.SubElement(asset, "material", name=name, rgba=rgba)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8"), files

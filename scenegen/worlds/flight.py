@@ -31,7 +31,7 @@ from scenegen.worlds.world import AnyWorld
 
 GRAVITY = 9.81
 """Metres a second squared."""
-LEAST_THRUST = 0.5
+MIN_THRUST = 0.5
 """The vertical part of the thrust, a share of what hovering takes, is never less."""
 
 ou.noOutputHandler()
@@ -90,23 +90,19 @@ class Flight:
 
 
 def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
-    """A path through a world as `plan` gives it, or None."""
-    room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
-    return plan(world.clearance, room, flight, rng=rng)
-
-
-def plan(clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator) -> Floats | None:
-    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
-    (2, 3), or None.
+    """Draw one collision-free path (n, 3) through a world, metres, between a random start and goal;
+    None if there is none.
 
     RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own
     generator is seeded from it before a fresh planner is made, and the search ends on a count of
     iterations, never on time.
     """
+    clearance = world.clearance
+    bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     seed = int(rng.integers(1, 2**31))
-    found = None if ends is None else connect(clearance, bounds, flight, ends, seed)
-    return None if found is None else points_of(found[1])
+    solution = None if ends is None else connect(clearance, bounds, flight, ends, seed)
+    return None if solution is None else points_of(solution[1])
 
 
 def connect(
@@ -116,8 +112,18 @@ def connect(
     ends: tuple[Floats, Floats],
     seed: int,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
-    """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
-    None where it finds none. For the other arguments see `plan`."""
+    """Search a path between two points by RRT.
+
+    Args:
+        clearance: The collision check.
+        bounds: (2, 3): the box of the search, world metres.
+        flight: Radius of the robot, and the planner's parameters.
+        ends: Start and goal, (3,) each.
+        seed: That of OMPL's generator.
+
+    Returns:
+        OMPL's path, with the space that checks its motions; None if RRT finds none.
+    """
     ou.RNG.setSeed(seed)
     space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
     for axis, (low, high) in enumerate(bounds.T.tolist()):
@@ -203,11 +209,11 @@ class Route:
     def turns(self) -> tuple[Floats, Floats]:
         """How the direction of flight changes at each point, its begin and end included, (k, 3),
         and the metres flown there, (k,)."""
-        there = self.lengths > 0.0
-        direction = self.legs[there] / self.lengths[there, None]
+        moving = self.lengths > 0.0
+        direction = self.legs[moving] / self.lengths[moving, None]
         still = np.zeros((1, 3))
         change = np.diff(np.concatenate([still, direction, still]), axis=0)
-        return change, self.ends[np.append(there, True)]
+        return change, self.ends[np.append(moving, True)]
 
     def at(self, flown_m: Floats) -> tuple[Floats, Floats]:
         """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
@@ -237,7 +243,7 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
     flown along it to each, (m,), in random order.
 
-    Raises GenerationError where there would be more than `MOST_CANDIDATES`.
+    Raises GenerationError if there would be more than `MOST_CANDIDATES`.
     """
     route = Route(path)
     length = route.ends[-1]
@@ -277,8 +283,8 @@ def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
     rng = np.random.default_rng(whole_number("flight: seed =", seed, 0, MOST_SEED))
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
-        if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
-            return found
+        if path is not None and (drawn := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
+            return drawn
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 
 
@@ -307,14 +313,14 @@ def acceleration(
 def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
     """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
     has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
-    up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
+    up = max(GRAVITY + pull[2], MIN_THRUST * GRAVITY)
     w, _, _, z = pose.quaternion.tolist()
     cosine, sine = w * w - z * z, 2 * w * z
     forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
     sideways = math.sqrt(forward * forward + left * left)
-    most_sine, most_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
-    if sideways * most_cosine > up * most_sine:
-        share = up * most_sine / (most_cosine * sideways)
+    max_sine, max_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
+    if sideways * max_cosine > up * max_sine:
+        share = up * max_sine / (max_cosine * sideways)
         forward, left = forward * share, left * share
     length = math.sqrt(forward * forward + left * left + up * up)
     half = math.sqrt(0.5 + 0.5 * up / length)

@@ -12,7 +12,7 @@ LEVELS = 16
 """Levels of a tree, as OctoMap has them."""
 HALF = 1 << (LEVELS - 1)
 """Voxels from the tree's least corner to the world's origin, along each axis."""
-MOST_HEADER = 64 << 10
+MAX_HEADER_BYTES = 64 << 10
 """The most bytes of a header."""
 FAULTS = {
     1: "ends within its tree; copy it again",
@@ -23,11 +23,19 @@ FAULTS = {
 
 
 def parse_octomap(content: bytes, name: str) -> VoxelMap:
-    """The map that `content` holds. Raises SceneError, naming `name`."""
-    first, _, _ = content[:MOST_HEADER].partition(b"\n")
+    """Parse a `.bt` or `.ot` file.
+
+    Args:
+        content: Its bytes.
+        name: What errors name.
+
+    Raises:
+        SceneError: It is no OctoMap, damaged, empty or too large.
+    """
+    first, _, _ = content[:MAX_HEADER_BYTES].partition(b"\n")
     head, mark, tree = content.partition(b"\ndata\n")
     magics = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
-    if first.strip() not in magics or not mark or len(head) > MOST_HEADER:
+    if first.strip() not in magics or not mark or len(head) > MAX_HEADER_BYTES:
         raise SceneError(f"{name}: not an OctoMap; expected a .bt or .ot file of OctoMap 1.x")
     lines = (line.split(None, 1) for line in head.decode("latin-1").splitlines())
     header = {words[0]: words[1].strip() for words in lines if len(words) == 2}
@@ -41,10 +49,10 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     except ValueError:
         voxel_m = float("nan")
     check_voxel(voxel_m, name)
-    data, states_alone = np.frombuffer(tree, np.uint8), magics[first.strip()]
+    data, is_binary = np.frombuffer(tree, np.uint8), magics[first.strip()]
     bounds = np.array([[2 * HALF] * 3, [0] * 3])
     nothing = np.empty((0, 0, 0), np.uint8)
-    fault = _fill(data, states_alone, bounds, nothing)
+    fault = _fill(data, is_binary, bounds, nothing)
     if fault:
         raise SceneError(f"{name}: {FAULTS[fault]}")
     shape = bounds[1] - bounds[0]
@@ -56,7 +64,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
             f"{MOST_PLACE_VOXELS} at most; cut the map, or make it coarser"
         )
     states = np.zeros(shape, np.uint8)
-    _fill(data, states_alone, bounds, states)
+    _fill(data, is_binary, bounds, states)
     return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
 
 
@@ -79,21 +87,21 @@ def _mark(x, y, z, size, state, bounds, states):
 
 
 @kernel
-def _fill(data, states_alone, bounds, states):
+def _fill(data, is_binary, bounds, states):
     """Read a tree, depth first, into `bounds` or `states`, see `_mark`. The number of a fault, 0
     for none.
 
-    A node of a `.bt` file, of `states_alone`, is 16 bits, two for each child: 0 unknown, 1 free, 2
+    A node of a `.bt` file, if `is_binary`, is 16 bits, two for each child: 0 unknown, 1 free, 2
     occupied, 3 a node of its own. One of an `.ot` file is its log-odds in four bytes, and one byte
     that says which children it has; without any it is a leaf, occupied from log-odds of 0 on.
     """
-    waiting, at, length = [(0, 0, 0, 2 * HALF)], 0, 2 if states_alone else 5
+    waiting, at, length = [(0, 0, 0, 2 * HALF)], 0, 2 if is_binary else 5
     while len(waiting) > 0:
         x, y, z, size = waiting.pop()
         if at + length > len(data):
             return 1
         bits = np.int64(data[at]) | np.int64(data[at + 1]) << 8
-        if not states_alone:
+        if not is_binary:
             bits = np.int64(0)
             for child in range(8):
                 bits |= (np.int64(data[at + 4]) >> child & 1) * 3 << 2 * child
@@ -104,7 +112,7 @@ def _fill(data, states_alone, bounds, states):
                 _mark(x, y, z, size, OCCUPIED if odds >= 0.0 else FREE, bounds, states)
         at += length
         half = size // 2
-        if half == 0 and (states_alone or bits > 0):
+        if half == 0 and (is_binary or bits > 0):
             return 2
         for turn in range(8):
             child = 7 - turn  # the first one is taken from the stack first

@@ -18,7 +18,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
-from scenegen.cloud_arrays import encode_npz, read_npz
+from scenegen.clouds.npz import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
@@ -130,25 +130,33 @@ def read_place(path: str | Path) -> Place:
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
     """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    found = Place(f"{sha256_of(content)[:16]}{suffix}", content)
+    place = Place(f"{sha256_of(content)[:16]}{suffix}", content)
     try:
-        bounds = found.flight_bounds
+        bounds = place.flight_bounds
     except SceneError as error:
-        raise SceneError(str(error).replace(found.name, where, 1)) from None
+        raise SceneError(str(error).replace(place.name, where, 1)) from None
     if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
-    return found
+    return place
 
 
 def named_map(document: bytes) -> str:
     """The file that a document of an archive names as its map; "" for a world of solids."""
-    found = NAMED.fullmatch(document)
-    return found[1].decode() if found else ""
+    match = NAMED.fullmatch(document)
+    return match[1].decode() if match else ""
 
 
 def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> Place:
-    """The place of a document for which `named_map` has a name. Raises SceneError, naming `where`,
-    where its file is missing or holds no map."""
+    """Read the place of an archived document for which `named_map` has a name.
+
+    Args:
+        document: The MJCF.
+        assets: The files of the archive by name.
+        where: What the error names.
+
+    Raises:
+        SceneError: The map's file is missing, or holds no map.
+    """
     name = named_map(document)
     if name not in assets:
         raise SceneError(f"{where}: its map {name} is missing")
@@ -174,19 +182,19 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
+        arrays = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
-    for array, (part, (dtype, dimensions)) in zip(found, PARTS.items(), strict=True):
+    for array, (part, (dtype, dimensions)) in zip(arrays, PARTS.items(), strict=True):
         if array.dtype != dtype or array.ndim != dimensions:
             raise SceneError(
                 f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
                 "axes"
             )
-    states, voxel_m, origin = np.ascontiguousarray(found[0]), float(found[1]), found[2]
+    states, voxel_m, origin = np.ascontiguousarray(arrays[0]), float(arrays[1]), arrays[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
         raise SceneError(
@@ -196,8 +204,16 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
 
 
 def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
-    """The content of an .npz map, with `more` arrays by name: the same for the same map. Raises
-    SceneError, naming `where`, for more than a map's file may hold."""
+    """Encode a map as .npz: the same bytes for the same map.
+
+    Args:
+        voxels: The map.
+        where: What the error names, a file.
+        more: Further arrays by name.
+
+    Raises:
+        SceneError: It takes more than a map's file may hold.
+    """
     arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
     content = encode_npz(arrays | more, level=6)
     if len(content) > MOST_ASSET_BYTES:
@@ -209,8 +225,16 @@ def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
 
 
 def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
-    """The first of the cells that are `wanted` along each axis, and one more than the last,
-    (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
+    """Find the box around some cells, layer by layer: a map is too large for a copy.
+
+    Args:
+        cells: An array of any axes.
+        wanted: Tells which cells of a layer count.
+
+    Returns:
+        (2, axes): the first such cell along each axis, and one more than the last; zeros if there
+        is none.
+    """
     rows, seen = np.zeros(len(cells), bool), np.zeros(cells.shape[1:], bool)
     for n, layer in enumerate(cells):
         here = wanted(layer)

@@ -14,7 +14,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from scenegen.errors import SceneError, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
-from scenegen.worlds.cloud import Survey, Surveyed
+from scenegen.worlds.cloud import CloudMap, Survey
 from scenegen.worlds.octomap import check_voxel
 from scenegen.worlds.place import box_of
 
@@ -31,12 +31,16 @@ FLAGS = {"0": False, "1": True, "false": False, "true": True}
 """What `negate` may be."""
 
 
-def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
-    """The map of a .yaml file and its picture, `.pgm` or `.png`, as large as what is known in it.
+def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
+    """Read the map of a .yaml file and its picture, `.pgm` or `.png`, cropped to its known cells.
 
     A cell is occupied, free or unknown by the file's thresholds, as map_server's mode `trinary` has
     it. Each becomes a column of cubes from the floor, z = 0, to `height_m`, metres. Below those
     that are known lies a layer of occupied ones, the floor.
+
+    Args:
+        path: The .yaml file.
+        height_m: Height of the walls, metres.
 
     Raises:
         SceneError: The file is no such map, it is turned, or too large at that height.
@@ -86,7 +90,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     corner = [x + row * voxel_m, y + column * voxel_m, -voxel_m]
     cells = f"read: {shades.size:,} cells of {voxel_m:g} m, {np.count_nonzero(plan):,} known"
     shade = f", shade {UNKNOWN_SHADE} unknown" if saved else ""
-    return Surveyed(
+    return CloudMap(
         VoxelMap(columns_up, voxel_m, np.array(corner)),
         np.zeros(3),
         int(np.count_nonzero(plan)),

@@ -19,7 +19,7 @@ from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES, WORLD_FILES
 from scenegen.worlds.cloud import Survey, map_clouds
-from scenegen.worlds.drawing import flatten, least_memory
+from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
@@ -32,7 +32,7 @@ INCLUDE = re.compile(r"<include\s+file\s*=\s*([\"'])(.*?)\1")
 COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 PART = "<mujocoinclude"
 """Root of a file that only others include."""
-MOST_MOVED = 1e-6
+MAX_SHIFT = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
 
@@ -91,11 +91,11 @@ def load_map(path: Path) -> Scene:
         plan = path.suffix == ".yaml"
         made = read_plan(path) if plan else map_clouds([path])
         place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
-        told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
+        detail = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
         if not plan:
-            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+            detail = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
         moved = f"; {made.offset.tolist()} m are taken off their coordinates"
-        notes = (f"{path.name}: {made.read}; {told}{moved if made.offset.any() else ''}",)
+        notes = (f"{path.name}: {made.read}; {detail}{moved if made.offset.any() else ''}",)
     else:
         place = read_place(path)
     digest = map_digest(place.voxels)
@@ -108,7 +108,14 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 
     The document is compiled again, and its solids compared with those of the file. MuJoCo may read
     other files, run long and take memory: for files that nobody vouches for, call this in a process
-    with limits. Raises SceneError.
+    with limits.
+
+    Args:
+        path: The file.
+        materials: Whether the names of materials are kept.
+
+    Raises:
+        SceneError: It cannot serve as a world.
     """
     with quiet_mujoco() as warnings:
         drawn, notes = _compile(path)
@@ -145,8 +152,8 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
     what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
     refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
     # MuJoCo calls a file of another type an MJCF file without a decoder
-    told = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
-    end = told * (path.suffix not in WORLD_FILES)
+    hint = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
+    end = hint * (path.suffix not in WORLD_FILES)
     with raised_as(SceneError, f"{path}: {what}: ", end, of=refused):
         notes: list[str] = []
         spec = mesh_spec(path, notes) if is_mesh else mujoco.MjSpec.from_file(str(path))
@@ -166,22 +173,22 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
         # sensors may be of textures and skins; tuples that name these are no fault to MuJoCo
         for item in (*spec.sensors, *spec.skins, *spec.textures):
             spec.delete(item)
-        spec.memory = least_memory(len(spec.geoms))
+        spec.memory = memory_bytes(len(spec.geoms))
         # memory that no geom needs; MuJoCo would fill as much as is asked
         spec.nuserdata = spec.nkey = 0
         return spec.compile(), notes
 
 
-def _same(expected: Solids, found: Solids) -> bool:
+def _same(expected: Solids, compiled: Solids) -> bool:
     """Whether the solids of the document are those that MuJoCo makes of the file."""
     for name in ("shape", "mesh_start", "mesh_filled"):
-        if not np.array_equal(getattr(expected, name), getattr(found, name)):
+        if not np.array_equal(getattr(expected, name), getattr(compiled, name)):
             return False
     reach = max(np.abs(a).max(initial=0.0) for a in (expected.position, expected.triangles))
     sized = expected.shape != PLANE
-    return np.allclose(expected.size[sized], found.size[sized], 1e-12, 0.0) and all(
-        np.abs(getattr(expected, name) - getattr(found, name)).max(initial=0.0)
-        <= MOST_MOVED * (1 + reach)
+    return np.allclose(expected.size[sized], compiled.size[sized], 1e-12, 0.0) and all(
+        np.abs(getattr(expected, name) - getattr(compiled, name)).max(initial=0.0)
+        <= MAX_SHIFT * (1 + reach)
         for name in ("position", "rotation", "triangles")
     )
 
@@ -224,22 +231,22 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         for _, name in INCLUDE.findall(text):
             # MuJoCo looks from the file that includes, or from the main one
             places = (folder / name for folder in (path.parent, main.parent))
-            there = {place.resolve() for place in places if place.exists()}
-            waiting += there - included
-            included |= there
+            existing = {place.resolve() for place in places if place.exists()}
+            waiting += existing - included
+            included |= existing
     return is_world, frozenset(included)
 
 
 def _repeats(text: str) -> float:
     """How often the <replicate>s of a file, one within another, repeat what is innermost."""
-    times, most = [1.0], 1.0
+    times, highest = [1.0], 1.0
     for ended, count, empty in REPLICATE.findall(text):
         if ended:
             times = times[:-1] or [1.0]
         elif not empty:
             times.append(times[-1] * (float(count) if count else 1.0))
-            most = max(most, times[-1])
-    return most
+            highest = max(highest, times[-1])
+    return highest
 
 
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -305,24 +312,24 @@ def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
             raise SceneError(
                 f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
             )
-        there = faces.min() >= 0 and faces.max() < len(corners)
-        if not there or not np.isfinite(corners).all():
+        complete = faces.min() >= 0 and faces.max() < len(corners)
+        if not complete or not np.isfinite(corners).all():
             raise SceneError(
                 f"{path}: has corners that are not finite, or that are missing; export it again"
             )
         if len(corners) == 3:  # MuJoCo wants four
             corners = corners[[0, 1, 2, 2]]
-        called = f"{len(spec.geoms)} {printable(name)[:60]}"
+        label = f"{len(spec.geoms)} {printable(name)[:60]}"
         spec.add_mesh(
-            name=called,
+            name=label,
             uservert=corners.reshape(-1),
             userface=faces.reshape(-1),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         spec.worldbody.add_geom(
-            name=called,
+            name=label,
             type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=called,
+            meshname=label,
             contype=0,
             conaffinity=0,
         )

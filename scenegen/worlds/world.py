@@ -18,7 +18,7 @@ from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids
 from scenegen.errors import SceneError, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
@@ -34,13 +34,13 @@ def quiet_mujoco() -> Iterator[list[str]]:
     Left alone, MuJoCo prints them and appends them to a file in the working folder. Whoever else
     uses MuJoCo in this process finds its own handler again afterwards.
     """
-    told: list[str] = []
+    messages: list[str] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(told.append)
+    mujoco.set_mju_user_warning(messages.append)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            yield told
+            yield messages
     finally:
         mujoco.set_mju_user_warning(before)
 
@@ -118,8 +118,7 @@ def solid(world: AnyWorld, where: str) -> World:
 
 
 def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> AnyWorld:
-    """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
-    where it cannot serve as one."""
+    """Read the world of an archived document, of solids or a map. Raises as `compile_world`."""
     if named_map(mjcf):
         return archived_place(mjcf, assets, name)
     return compile_world(mjcf, assets, name=name)
@@ -128,8 +127,16 @@ def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> An
 def compile_world(
     mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world"
 ) -> World:
-    """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a
-    world."""
+    """Compile an archived document.
+
+    Args:
+        mjcf: The document, UTF-8.
+        assets: The files that it refers to, by the names it uses.
+        name: What the error names.
+
+    Raises:
+        SceneError: It cannot serve as a world.
+    """
     assets = dict(assets or {})
     with quiet_mujoco():
         refused = (ValueError, mujoco.FatalError)
@@ -193,10 +200,10 @@ def geometry_digest(solids: Solids) -> bytes:
     colours, the sign of a quaternion, or which of a solid's equal placings was written (a box
     turned by 90° with its sizes exchanged). A world moved as a whole is another world.
     """
-    rows = [np.zeros((0, 13))]
+    rows = [np.zeros((0, 16))]
     for shape in np.unique(solids.shape):
         chosen = solids.shape == shape
-        numbers = (solids.size[chosen], solids.position[chosen], solids.rotation[chosen])
+        numbers = solids.size[chosen], solids.position[chosen], solids.rotation[chosen]
         form = _form(int(shape), *numbers)
         # negative zeros are zeros
         rounded = np.rint(form / ROUND_M) + 0.0
@@ -210,47 +217,24 @@ def geometry_digest(solids: Solids) -> bytes:
     return digest.digest()
 
 
-def _form(
-    shape: int,
-    size: Floats,
-    position: Floats,
-    rotation: Floats,
-) -> Floats:
-    """Twelve numbers a solid that depend on the points it fills alone, (n, 12)."""
-    form = np.zeros((len(size), 12))
-    form[:, :3] = position
-    axis = rotation[:, :, 2]
+def _form(shape: int, size: Floats, position: Floats, rotation: Floats) -> Floats:
+    """Numbers that depend only on the points that each solid of a shape fills, (n, 15): position
+    and moments, which do not change with the sign of a quaternion, or if a box is turned by 90° and
+    its sizes are exchanged."""
     if shape == PLANE:
-        form[:, :3] = axis
-        form[:, 3] = (axis * position).sum(axis=1)
-    elif shape == SPHERE:
-        form[:, 3] = size[:, 0]
+        normal = rotation[:, :, 2]
+        offset = (normal * position).sum(axis=1, keepdims=True)
+        return np.concatenate([normal, offset, np.zeros((len(size), 11))], axis=1)
+    radii = size
+    if shape == SPHERE:
+        radii = size[:, [0, 0, 0]]
     elif shape in (CAPSULE, CYLINDER):
-        form[:, 3] = size[:, 0]
-        form[:, 4:7] = _unsigned(axis * size[:, 1:2])
-    elif shape == BOX:
-        # a box is its three half edges, in any order and of either sign
-        edges = _unsigned((rotation * size[:, None, :]).transpose(0, 2, 1))
-        form[:, 3:] = _ordered(edges).reshape(-1, 9)
-    elif shape == ELLIPSOID:
-        form[:, 3:] = np.einsum("nij,nj,nkj->nik", rotation, size**2, rotation).reshape(-1, 9)
-    return form
-
-
-def _unsigned(vectors: Floats) -> Floats:
-    """`vectors` (..., 3), each or its opposite: that whose first component other than 0, rounded,
-    is positive."""
-    rounded = np.rint(vectors / ROUND_M)
-    first = np.take_along_axis(rounded, np.argmax(rounded != 0, axis=-1)[..., None], axis=-1)
-    return np.where(first < 0, -vectors, vectors)
-
-
-def _ordered(vectors: Floats) -> Floats:
-    """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells
-    rounded vectors apart."""
-    rounded = np.rint(vectors / ROUND_M)
-    key = rounded[..., 0] + np.sqrt(2.0) * rounded[..., 1] + np.sqrt(3.0) * rounded[..., 2]
-    return np.take_along_axis(vectors, np.argsort(key, axis=1)[:, :, None], axis=1)
+        radii = size[:, [0, 0, 1]]
+    axes = rotation * radii[:, None, :]
+    second = np.einsum("nij,nkj->nik", axes, axes).reshape(-1, 9)
+    # second moments do not tell turned cubes apart; of round shapes, higher ones change with a spin
+    fourth = (axes**4).sum(axis=2) ** 0.25 if shape == BOX else np.zeros((len(size), 3))
+    return np.concatenate([position, second, fourth], axis=1)
 
 
 def _mesh_digest(triangles: Floats, filled: bool) -> bytes:

@@ -1,5 +1,5 @@
 """Family ``files``: scans, maps, plans and logs damaged anywhere, or of other words where they are
-text; what files promise and do not hold is in tests/scenegen/test_clouds.py and beside it."""
+text; what files promise and do not hold is in tests/scenegen/clouds."""
 
 from pathlib import Path
 

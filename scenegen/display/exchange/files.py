@@ -15,7 +15,7 @@ import numpy as np
 
 from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec, Ints
-from scenegen.cloud_arrays import encode_npz
+from scenegen.clouds.npz import encode_npz
 from scenegen.display.exchange import Choices
 from scenegen.display.exchange.classes import OCC3D, SEMANTIC_KITTI
 from scenegen.errors import DatasetError

@@ -79,3 +79,10 @@ def test_the_command_fails_where_a_law_is_broken(law, monkeypatch, capsys):
     assert (code, "self-test failed" in error.splitlines()[-1]) == (1, True)
     found = json.loads(said)["self_test"]
     assert {name: found[name] for name in BROKEN} == {name: name != law for name in BROKEN}
+
+
+def test_a_module_that_does_not_load_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "COMPILED", ("mujoco", "libwhatever.so"))
+    code, said, error = run(capsys, "doctor --json")
+    assert (code, error.count("\n")) == (1, 1)
+    assert json.loads(said)["libwhatever"] == "No module named 'libwhatever'"

@@ -22,11 +22,10 @@ from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud
 from scenegen.logs.frames import Links, pose_at
 from scenegen.logs.fuse import ingest
-from scenegen.logs.log import Log
+from scenegen.logs.log import Log, RawTimes, find_clock
 from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, record
-from scenegen.logs.times import find_clock
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
@@ -276,7 +275,7 @@ def test_times_of_points_are_seconds_after_the_stamp(told):
     head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
     more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
     cloud = SimpleNamespace(fields=fields, **sizes, **more)
-    raw = _of_cloud(cloud).times
+    raw = RawTimes.of_cloud(_of_cloud(cloud), 2001.0)
     assert find_clock([raw], 0.1).seconds(raw) == pytest.approx(TIMES[told], abs=1e-6)
     cloud.point_step = 0  # points without end in few bytes
     with pytest.raises(ValueError, match="expected points of 32 or more"):

@@ -6,10 +6,10 @@ import pytest
 from scenegen.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.fuse import ingest
+from scenegen.logs.log import RawTimes, find_clock
 from scenegen.logs.read import read_log
-from scenegen.logs.times import RawTimes, find_clock
 from tests.command_line import refused, run
-from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, drive, moving
+from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, SPEED_MPS, drive, moving
 
 NEAR = Fusing(every=1, reach_m=15, rise_m=12, deskew=True)
 
@@ -104,9 +104,40 @@ def test_messages_that_come_twice_or_late_are_deskewed(tmp_path):
         assert abs(seen - truth[n]).max() < 0.011, n  # to scan 3 it is 2 m, in slices of 2 cm
 
 
-def test_clouds_of_a_folder_have_no_times(tmp_path, capsys):
+@pytest.mark.parametrize("suffix", [".ply", ".npy"])
+def test_clouds_of_a_folder_are_deskewed_by_their_fields(tmp_path, suffix):
+    rng, truth = np.random.default_rng(0), []
+    clouds, poses = tmp_path / "clouds", []
+    clouds.mkdir()
+    for n in range(6):
+        after = np.append(0, np.sort(rng.uniform(0, 0.995 * PERIOD_S, 200)))
+        from_start = rng.uniform(2, 8, (201, 3)) * rng.choice([-1, 1], (201, 3))
+        seen = from_start - np.outer(after * SPEED_MPS, [1, 0, 0])
+        rows = np.column_stack([seen, 1e6 * after]).astype("<f4")
+        if suffix == ".npy":
+            np.save(clouds / f"{n}.npy", np.rec.fromarrays(rows.T, names="x,y,z,time"))
+        else:
+            head = "ply\nformat binary_little_endian 1.0\nelement vertex 201\n"
+            fields = "".join(f"property float {name}\n" for name in ("x", "y", "z", "time"))
+            content = f"{head}{fields}end_header\n".encode() + rows.tobytes()
+            (clouds / f"{n}.ply").write_bytes(content)
+        poses.append([BEGIN_S + n * PERIOD_S, n * PERIOD_S * SPEED_MPS, 0, 0, 0, 0, 0, 1])
+        truth.append(from_start)
+    np.savetxt(tmp_path / "poses.tum", poses, "%.12g")
+    log = read_log(clouds, poses=tmp_path / "poses.tum")
+    assert log.about["times"] == "times from field time in µs"
+    ingest(log, tmp_path / "out", NEAR)
+    for n, points in enumerate(truth):
+        observed = np.load(tmp_path / "out" / "observations" / f"{n:06d}.npz")["points"]
+        assert abs(observed - points).max() < 0.006, n
+    # matrices without times: nothing says how far apart scans are, and so in which unit times are
+    np.savetxt(tmp_path / "poses.txt", [[1, 0, 0, row[1], 0, 1, 0, 0, 0, 0, 1, 0] for row in poses])
+    assert read_log(clouds, poses=tmp_path / "poses.txt").about["times"] == "no times of points"
+
+
+def test_clouds_without_fields_of_times_are_not_deskewed(tmp_path, capsys):
     from tests.scenegen.logs.test_logs import written
 
     written(tmp_path / "log")
     line = refused(capsys, f"ingest {tmp_path}/log --deskew -o {tmp_path}/out --quiet")
-    assert "read without times of points; leave out --deskew" in line
+    assert "its points have no field of times" in line

@@ -10,7 +10,7 @@ from scenegen.errors import BrokenError
 from scenegen.limits import MOST_OTHERS
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
-from scenegen.worlds.drawing import MOST_WRITTEN, Drawing
+from scenegen.worlds.drawing import MAX_WRITTEN, Drawing
 
 BOUNDS = np.array([[8.0, 8.0, 1.5], [32.0, 32.0, 4.25]])
 SHAPES = [
@@ -86,7 +86,7 @@ def test_what_is_not_written_here_is_left_to_mujoco():
         drawing.add_geom(mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 1], [0, 0, 0], **more)
 
     def draw_many(drawing):
-        for n in range(MOST_WRITTEN + 1):
+        for n in range(MAX_WRITTEN + 1):
             drawing.add_geom(SHAPES[0], [0.1, 0, 0], [n, 0, 0])
 
     for one in (draw, partial(draw, name="floor"), draw_many):

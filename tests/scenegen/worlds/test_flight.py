@@ -4,6 +4,7 @@ along by viewpoints."""
 import dataclasses
 import itertools
 import math
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,12 +15,18 @@ from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
 from scenegen.errors import GenerationError
 from scenegen.worlds.clearance import Clearance
-from scenegen.worlds.flight import Flight, plan, viewpoints
+from scenegen.worlds.flight import Flight, fly, viewpoints
 
 Geom = mujoco.mjtGeom
 BOUNDS = np.array([[1.0, 1.0, 0.5], [15.0, 13.0, 3.5]])
 FLIGHT = Flight(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1000)
 DIAGONAL_M = float(np.linalg.norm(BOUNDS[1] - BOUNDS[0]))
+
+
+def plan(clearance, bounds, flight, *, rng):
+    """A path in some bounds of a world with this clearance."""
+    world = SimpleNamespace(clearance=clearance, room=lambda *_, rng: bounds)
+    return fly(world, flight, rng=rng)
 
 
 def forest(seed):

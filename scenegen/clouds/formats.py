@@ -1,4 +1,7 @@
-"""Point clouds whose files name the fields of a point: PLY, PCD, LAS and LAZ."""
+"""File formats of point clouds, each a function from bytes to a `Table`.
+
+A reader may raise anything: `scenegen.clouds.read_cloud` makes one line of it.
+"""
 
 import io
 import itertools
@@ -6,13 +9,25 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
+from lidarsim.sensors.table import read_npy
+from scenegen.clouds.columns import (
+    HELP,
+    Table,
+    fitting_columns,
+    origin_fields,
+    short_list,
+    table_of_array,
+    used_fields,
+    xyz_of,
+)
+from scenegen.clouds.npz import read_npz
 from scenegen.errors import DatasetError, printable
 from scenegen.limits import (
     GUARD_BYTES,
@@ -21,30 +36,21 @@ from scenegen.limits import (
     MOST_HEADER_BYTES,
     MOST_LINE_BYTES,
     MOST_POINTS,
+    MOST_SCAN_BYTES,
 )
 from scenegen.run.workers import guarded
 
-Table: TypeAlias = tuple[np.ndarray, str]
-"""Points (N, 3), or (N, 6) with where each was seen from behind its position, as the file has
-them; and what was taken of the file, in words: "x y z intensity (.pcd, binary)"."""
 PLY_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "float64": "f8",
+    "char": "int8",
+    "uchar": "uint8",
+    "short": "int16",
+    "ushort": "uint16",
+    "int": "int32",
+    "uint": "uint32",
+    "float": "float32",
+    "double": "float64",
 }
+"""NumPy's names of a PLY's types, which may stand in the file, too."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 PLY_END = re.compile(rb"^end_header[ \t\r]*\n", re.MULTILINE)
 """The line that ends a PLY's header; a comment may hold the word, too."""
@@ -52,19 +58,16 @@ PCD_DATA = re.compile(rb"^[ \t]*DATA[ \t]+([^\n]*)\n", re.MULTILINE | re.IGNOREC
 """The line that ends a PCD's header."""
 PCD_TYPES = {"I": "<i", "U": "<u", "F": "<f"}
 """How numpy's names of a PCD's types begin, by TYPE; its SIZE ends them."""
-SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
-"""What the names of fields begin with that say where a point was seen from, before x, y and z: the
-first are those of PCL's PointWithViewpoint."""
-NOWHERE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-"""The VIEWPOINT that a PCD has whose writer knew none."""
-MAX_NAMES = 12
-"""Fields of a point that are named to people."""
+NO_VIEWPOINT = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+"""The VIEWPOINT of a PCD whose writer knew none."""
+KITTI, NUSCENES = 4, 5
+"""Columns of the two .bin formats that are known: x y z intensity, and these with the ring."""
 LAS_CHUNK = 1_000_000
 """Points of a LAS file that are unpacked at once."""
 LAS_BYTES_IN_S = 1e6
 """How many bytes of a LAS file are unpacked in a second, at the least."""
 DEGREES_SCALE = 1e-6
-"""A LAS file whose x and y have steps as fine as this may hold degrees: 1e-7° are a centimetre."""
+"""Steps of x and y in a LAS file that may hold degrees: 1e-7° are a centimetre."""
 DEGREES_TALL = 30
 """A cloud that is so many times as high as it is wide has degrees for its width."""
 
@@ -81,9 +84,10 @@ def read_ply(content: bytes) -> Table:
             "expected a header of `format`, then `element vertex`, with x, y and z among its "
             "properties, and no lists"
         ) from None
-    layout = np.dtype([(name, order + kind, (1,)) for name, kind in properties.items()])
-    points = _points(memoryview(content)[end.end() :], layout, count, text=not order)
-    return points, f"{named(layout.names or ())} (.ply, {'binary' if order else 'text'})"
+    rows = [(name, order + np.dtype(kind).str[1:], (1,)) for name, kind in properties.items()]
+    layout = np.dtype(rows)
+    body = memoryview(content)[end.end() :]
+    return _table(body, layout, count, ".ply", "binary" if order else "text")
 
 
 def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
@@ -93,12 +97,14 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     (_, form, _), (element, vertex, count), *lines = [
         line for line in rest if line and line[0] not in ("comment", "obj_info")
     ]
-    own = list(itertools.takewhile(lambda line: line[0] == "property", lines))
-    names = _lowered([name for _, _, name in own])
-    properties = {name: PLY_TYPES[kind] for name, (_, kind, _) in zip(names, own, strict=True)}
+    property_lines = list(itertools.takewhile(lambda line: line[0] == "property", lines))
+    names = _lowered([name for _, _, name in property_lines])
+    types = [PLY_TYPES.get(kind, kind) for _, kind, _ in property_lines]
+    properties = dict(zip(names, types, strict=True))
     is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
-    if not is_ply or len(properties) < len(own) or not properties.keys() >= set("xyz"):
-        raise ValueError("no vertices, or a property is there twice or missing")
+    known = set(types) <= set(PLY_TYPES.values())
+    if not is_ply or len(properties) < len(property_lines) or not known:
+        raise ValueError("no vertices, or a property is unknown or there twice")
     return PLY_ORDERS[form], int(count), properties
 
 
@@ -121,15 +127,14 @@ def read_pcd(content: bytes) -> Table:
     layout, count = _pcd_layout(header), _pcd_count(header)
     if coding == b"binary_compressed":
         body = _unpacked(body, layout, count)
-    points = _points(body, layout, count, text=coding == b"ascii")
-    taken = f"{named(layout.names or ())} (.pcd, {coding.decode()}"
-    viewpoint = _numbers_of(header, "VIEWPOINT", NOWHERE, float)
-    if len(viewpoint) != len(NOWHERE):
+    table = _table(body, layout, count, ".pcd", coding.decode())
+    viewpoint = _numbers_of(header, "VIEWPOINT", NO_VIEWPOINT, float)
+    if len(viewpoint) != len(NO_VIEWPOINT):
         raise ValueError(f"VIEWPOINT has {len(viewpoint)} numbers, expected 7")
-    if points.shape[1] == 3 and viewpoint != NOWHERE:
-        sensors = np.broadcast_to(viewpoint[:3], points.shape)
-        return np.concatenate([points, sensors], axis=1), f"{taken}, VIEWPOINT)"
-    return points, f"{taken})"
+    if viewpoint == NO_VIEWPOINT or origin_fields(table.columns):
+        return table
+    layout_read = f"{table.layout[:-1]}, VIEWPOINT)"
+    return table._replace(layout=layout_read, origin=np.array([viewpoint[:3]]))
 
 
 def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:
@@ -139,8 +144,6 @@ def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:
         raise ValueError("its header has no line FIELDS, expected FIELDS x y z and others")
     # what only fills a gap is called "_", as often as there are gaps
     names = _lowered([f"_{n}" if name == "_" else name for n, name in enumerate(fields)])
-    if not set("xyz") <= set(names) or len(set(names)) < len(names):
-        raise ValueError(f"has points of {' '.join(names)[:60]}, expected x, y and z once each")
     sizes, counts = (
         _numbers_of(header, key, [usual] * len(names), int)
         for key, usual in (("SIZE", 4), ("COUNT", 1))
@@ -231,13 +234,12 @@ def _unpack_lzf(packed, unpacked):
 def read_las(content: bytes) -> Table:
     """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
     damaged files can make hang."""
-    points, taken = guarded(
+    return guarded(
         _unpack_las,
         content,
         seconds=GUARD_S + len(content) / LAS_BYTES_IN_S,
         memory_bytes=GUARD_BYTES + len(content),
     )
-    return points, taken
 
 
 def _unpack_las(content: bytes) -> Table:
@@ -252,49 +254,37 @@ def _unpack_las(content: bytes) -> Table:
         count = file.header.point_count
         if count > MOST_POINTS:
             raise DatasetError(f"promises {count} points, expected {MOST_POINTS} at most")
-        fields = sensor_fields(set(file.header.point_format.dimension_names) | set("xyz"))
-        parts = [
-            np.stack([np.asarray(chunk[name], float) for name in fields], axis=1)
+        dimensions = file.header.point_format.dimensions
+        scalars = {dimension.name for dimension in dimensions if dimension.num_elements == 1}
+        names = sorted(scalars | set("xyz"))
+        chunks = [
+            {name: np.asarray(chunk[name], float) for name in used_fields(names)}
             for chunk in file.chunk_iterator(LAS_CHUNK)
         ]
-        points = np.concatenate([np.zeros((0, len(fields))), *parts])
-        _check_metric(file.header, points)
+        columns = {
+            name: np.concatenate([np.empty(0), *(chunk[name] for chunk in chunks)])
+            for name in used_fields(names)
+        }
+        _check_metric(file.header, *(columns[axis] for axis in "xyz"))
         form = file.header.point_format.id
-    if len(points) != count:
-        raise DatasetError(f"promises {count} points and holds {len(points)}")
-    return points, f"{named(fields)} (LAS, point format {form})"
+    if len(columns["x"]) != count:
+        raise DatasetError(f"promises {count} points and holds {len(columns['x'])}")
+    fields = [*"xyz", *origin_fields(names)]
+    return Table(columns, f"{short_list(fields)} (LAS, point format {form})")
 
 
-def _check_metric(header: Any, points: Floats) -> None:
+def _check_metric(header: Any, x: Floats, y: Floats, z: Floats) -> None:
     """Raise DatasetError for a LAS file in degrees: by its numbers, since many files name no
     coordinate system."""
-    if not len(points):
+    if not len(x):
         return
-    x, y, z = np.ptp(points[:, :3], axis=0)
-    fine, tall = header.scales[:2].max(), DEGREES_TALL * max(x, y)
-    on_earth = (np.abs(points[:, :2]).max(axis=0) <= (180, 90)).all()
-    if on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or z > tall):
+    fine, tall = header.scales[:2].max(), DEGREES_TALL * max(np.ptp(x), np.ptp(y))
+    on_earth = np.abs(x).max() <= 180 and np.abs(y).max() <= 90
+    if on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or np.ptp(z) > tall):
         raise DatasetError(
             "has geographic coordinates, degrees; expected metres, z up: project it first, to UTM "
             "or so (pdal translate with filters.reprojection)"
         )
-
-
-def sensor_fields(names: Collection[str]) -> list[str]:
-    """Those of `names` that are a point's position, and after them, if they are there, those that
-    say where it was seen from."""
-    for first in SENSOR_FIELDS:
-        sensor = [first + axis for axis in "xyz"]
-        if set(sensor) <= set(names):
-            return [*"xyz", *sensor]
-    return [*"xyz"]
-
-
-def named(names: Sequence[str]) -> str:
-    """The names of a point's fields, for people; those that only fill gaps are left out."""
-    shown = [printable(name)[:30] for name in names if not re.fullmatch(r"_\d+", name)]
-    more = len(shown) - MAX_NAMES
-    return " ".join(shown[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _lowered(names: list[str]) -> list[str]:
@@ -303,28 +293,30 @@ def _lowered(names: list[str]) -> list[str]:
     return lowered if len(set(lowered)) == len(names) else names
 
 
-def _points(content: memoryview, layout: np.dtype, count: int, *, text: bool) -> Floats:
-    """Where `count` points are, and what they were seen from, see `sensor_fields`: the first
-    numbers of these. `layout` is the type of a point, whose fields are arrays: a line of `text` a
-    point, or point after point. Raises ValueError for too many points, or fewer than that."""
+def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding: str) -> Table:
+    """The used fields of `count` points, each a line of text or bytes of type `layout`, whose
+    fields are arrays: the first number of each is taken. Raises ValueError for too many points, or
+    fewer than that."""
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
     names = layout.names or ()
-    fields = sensor_fields(names)
-    if text:
+    fields = used_fields(names)
+    if coding in ("text", "ascii"):
         starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
-        points = text_numbers(content, [starts[names.index(name)] for name in fields], count)
+        columns = text_columns(content, {n: starts[names.index(n)] for n in fields}, count)
     else:
         rows = np.frombuffer(content, layout, min(count, len(content) // layout.itemsize))
-        points = np.stack([rows[name][:, 0].astype(np.float64) for name in fields], axis=1)
-    if len(points) != count:
-        raise ValueError(f"promises {count} points and holds {len(points)}")
-    return points
+        columns = {name: rows[name][:, 0] for name in fields}
+    if (held := len(columns["x"])) != count:
+        raise ValueError(f"promises {count} points and holds {held}")
+    return Table(columns, f"{short_list(names)} ({kind}, {coding})")
 
 
-def text_numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> Floats:
-    """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a
-    point."""
+def text_columns(
+    text: bytes | memoryview, places: Mapping[str, int], max_rows: int
+) -> dict[str, Floats]:
+    """The columns at some `places` of a text's first lines. Raises ValueError where a line holds
+    far more than a point."""
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
     if np.diff(ends, prepend=-1, append=len(text)).max() > MOST_LINE_BYTES:
         raise ValueError(
@@ -332,6 +324,59 @@ def text_numbers(text: bytes | memoryview, columns: Sequence[int], most: int) ->
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of lines that hold nothing
-        return np.loadtxt(
-            io.BytesIO(text), ndmin=2, usecols=columns, max_rows=most, encoding="ascii"
+        rows = np.loadtxt(
+            io.BytesIO(text),
+            ndmin=2,
+            usecols=[*places.values()],
+            max_rows=max_rows,
+            encoding="ascii",
         )
+    return dict(zip(places, rows.T, strict=True))
+
+
+def read_xyz(content: bytes) -> Table:
+    """Text: x, y and z are the first numbers of each line, unless its first line names others."""
+    head, _, rest = content.partition(b"\n")
+    words = head.decode("latin-1").lower().replace(",", " ").strip("#/ \r").split()
+    places = dict(zip("xyz", range(3), strict=True))
+    if set(words) >= set("xyz"):
+        # others may be words, such as a time of day
+        places, content = {axis: words.index(axis) for axis in "xyz"}, rest
+    if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
+        raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
+    columns = text_columns(content.replace(b",", b" "), places, MOST_POINTS + 1)
+    return Table(columns, "x y z (.xyz, text)")
+
+
+def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> Table:
+    """Float32, point after point, of `columns` numbers each; or of as many as
+    `fitting_columns` determines, if that is None."""
+    values = np.frombuffer(content, "<f4", len(content) // 4)
+    count = columns or fitting_columns(values, usual)
+    if len(content) % (4 * count):
+        raise ValueError(f"{len(content)} bytes, no multiple of {count} float32; {HELP}")
+    fields = "x y z intensity (KITTI .bin" if count == KITTI else "x y z (.bin"
+    return Table(xyz_of(values.reshape(-1, count)), f"{fields}, {count} columns)")
+
+
+def read_kitti(content: bytes, columns: int | None) -> Table:
+    """A .bin in a folder of KITTI's layout: 4 columns if the numbers do not tell."""
+    return read_bin(content, columns, KITTI)
+
+
+def read_nuscenes(content: bytes, columns: int | None) -> Table:
+    """NuScenes' .pcd.bin: float32, x y z intensity ring, point after point."""
+    count = columns or NUSCENES
+    table = read_bin(content, count)
+    return table._replace(layout=f"x y z intensity ring (nuScenes .pcd.bin, {count} columns)")
+
+
+def read_array(content: bytes, columns: int | None) -> Table:
+    """NumPy's .npy file."""
+    return table_of_array(read_npy(content), columns, ".npy")
+
+
+def read_archive(content: bytes, columns: int | None) -> Table:
+    """The array `points` of NumPy's archive."""
+    (points,) = read_npz(content, "points", max_bytes=MOST_SCAN_BYTES)
+    return table_of_array(points, columns, ".npz")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.clouds import read_cloud, read_points
+from scenegen.clouds import read_cloud
 from scenegen.errors import DatasetError
 from tests.command_line import rows
 
@@ -36,12 +36,12 @@ def test_pcd_is_read_as_drivers_write_it(tmp_path, coding, old, new):
     head = f"{HEAD}DATA {coding}\n".replace(old, new)
     body = TEXT.encode() if coding == "ascii" else POINTS.tobytes()
     (tmp_path / "scan.pcd").write_bytes(head.encode() + body)
-    assert_array_equal(read_points(tmp_path / "scan.pcd"), POINTS)
+    assert_array_equal(read_cloud(tmp_path / "scan.pcd").points, POINTS)
 
 
 FAULTS = """
 FIELDS x y z\\n             →                      → no line FIELDS
-FIELDS x y z                → FIELDS x y w         → points of x y w, expected x, y and z
+FIELDS x y z                → FIELDS x y w         → fields x y w, expected x, y and z
 TYPE F F F                  → TYPE F F Q           → TYPE Q, expected I, U or F
 SIZE 4 4 4                  → SIZE 4 4             → 3 FIELDS, 2 SIZE, 3 TYPE and 3 COUNT
 SIZE 4 4 4                  → SIZE 4 4 four        → SIZE 4 4 four: expected numbers
@@ -57,7 +57,7 @@ def test_faults_of_a_pcd_s_header_are_named(tmp_path, old, new, said):
     head = f"{HEAD}DATA ascii\n".replace(old.replace("\\n", "\n"), new)
     (tmp_path / "scan.pcd").write_text(head + TEXT)
     with pytest.raises(DatasetError, match=said):
-        read_points(tmp_path / "scan.pcd")
+        read_cloud(tmp_path / "scan.pcd")
 
 
 @pytest.mark.parametrize("comment", ["end_header", "before end_header it ends", "a\nobj_info x"])
@@ -65,7 +65,7 @@ def test_comments_of_a_ply_may_hold_any_word(tmp_path, comment):
     fields = "".join(f"property float {name}\n" for name in "XYZ")
     head = f"ply\nformat ascii 1.0\ncomment {comment}\nelement vertex 6\n{fields}end_header\n"
     (tmp_path / "scan.ply").write_text(head + TEXT)
-    assert_array_equal(read_points(tmp_path / "scan.ply"), POINTS)
+    assert_array_equal(read_cloud(tmp_path / "scan.ply").points, POINTS)
 
 
 def las(path, points, scales, form=6):
@@ -87,7 +87,7 @@ def test_las_in_degrees_is_refused(tmp_path):
     for scales in ([1e-7, 1e-7, 1e-3], [1e-7, 1e-7, 1e-6], [1e-6, 1e-6, 1e-2]):
         path = las(tmp_path / "a.las", DEGREES, scales)
         with pytest.raises(DatasetError, match="geographic coordinates, degrees; expected metres"):
-            read_points(path)
+            read_cloud(path)
 
 
 def test_las_in_metres_is_read(tmp_path):
@@ -98,9 +98,24 @@ def test_las_in_metres_is_read(tmp_path):
         assert cloud.layout == "x y z (LAS, point format 6)"
 
 
+def test_las_fields_of_times_are_columns_of_numbers(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [1e-3] * 3
+    header.add_extra_dims([laspy.ExtraBytesParams("time_3", "3f8")])
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = METRES.T
+    data.gps_time = np.arange(200.0)
+    data.write(tmp_path / "a.las")
+    cloud = read_cloud(tmp_path / "a.las")
+    assert_allclose(cloud.points, METRES, atol=1e-2)
+    assert_array_equal(cloud.times["gps_time"], np.arange(200.0))
+    assert list(cloud.times) == ["gps_time"]
+
+
 def test_laz_is_read_after_others_read_some_here(tmp_path):
     laspy = pytest.importorskip("laspy")
     path = las(tmp_path / "a.laz", METRES.repeat(500, axis=0), [1e-3] * 3)
     # lazrs keeps threads from here on, which no fork of this process has
     laspy.read(path, laz_backend=laspy.LazBackend.LazrsParallel)
-    assert len(read_points(path)) == 100_000
+    assert len(read_cloud(path).points) == 100_000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from scenegen.clouds import read_cloud, read_points
+from scenegen.clouds import read_cloud
 from scenegen.errors import DatasetError
 
 RNG = np.random.default_rng(0)
@@ -60,10 +60,10 @@ def test_kitti_s_folder_says_what_few_points_do_not(tmp_path):
     (tmp_path / "velodyne").mkdir()
     for path in (tmp_path / "scan.bin", tmp_path / "velodyne" / "000000.bin"):
         rows.tofile(path)
-    assert_array_equal(read_points(tmp_path / "velodyne" / "000000.bin"), rows[:, :3])
+    assert_array_equal(read_cloud(tmp_path / "velodyne" / "000000.bin").points, rows[:, :3])
     with pytest.raises(DatasetError, match=r"3 or 4 or 5 or 6 or 8 columns, .* --columns"):
-        read_points(tmp_path / "scan.bin")
-    assert_array_equal(read_points(tmp_path / "scan.bin", 6), np.full((40, 3), 7.0))
+        read_cloud(tmp_path / "scan.bin")
+    assert_array_equal(read_cloud(tmp_path / "scan.bin", columns=6).points, np.full((40, 3), 7.0))
 
 
 @pytest.mark.filterwarnings("error")
@@ -81,7 +81,7 @@ def test_kitti_s_folder_says_what_few_points_do_not(tmp_path):
 def test_what_numbers_do_not_tell_is_asked_for(tmp_path, values):
     values.astype("<f4").tofile(tmp_path / "scan.bin")
     with pytest.raises(DatasetError, match="--columns"):
-        read_points(tmp_path / "scan.bin")
+        read_cloud(tmp_path / "scan.bin")
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
@@ -90,34 +90,43 @@ def test_arrays_lie_either_way(tmp_path, suffix, columns):
     rows, path = np.column_stack([ROOM, SHARES])[:, :columns], tmp_path / f"scan{suffix}"
     for array in (rows, rows.T, rows[:1], rows[:9].T):
         np.save(path, array) if suffix == ".npy" else np.savez(path, points=array)
-        assert_array_equal(read_points(path), rows[: array.size // columns, :3])
+        assert_array_equal(read_cloud(path).points, rows[: array.size // columns, :3])
 
 
 def test_fields_of_arrays_count_by_name(tmp_path):
     names = "intensity", "z", "y", "x"
     np.save(tmp_path / "a.npy", np.rec.fromarrays([SHARES, *ROOM.T[::-1]], names=",".join(names)))
-    assert_array_equal(read_points(tmp_path / "a.npy"), ROOM)
+    assert_array_equal(read_cloud(tmp_path / "a.npy").points, ROOM)
+
+
+def test_times_that_are_no_column_of_numbers_are_left_out(tmp_path):
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("time", "S3"), ("stamps", "f4", (2,))]
+    rows = np.zeros(5, [*fields, ("t", "u4")])
+    np.save(tmp_path / "a.npy", rows)
+    cloud = read_cloud(tmp_path / "a.npy")
+    assert len(cloud.points) == 5
+    assert list(cloud.times) == ["t"]
 
 
 def test_arrays_of_few_points_are_asked_about(tmp_path):
     path, square = tmp_path / "scan.npy", RNG.normal(size=(4, 4))
     np.save(path, square)
     with pytest.raises(DatasetError, match="4 × 4 numbers, which may be 4 points or 4"):
-        read_points(path)
+        read_cloud(path)
     np.save(path, square[:3])
-    assert_array_equal(read_points(path, 3), square[:3].T)
-    assert_array_equal(read_points(path, 4), square[:3, :3])
+    assert_array_equal(read_cloud(path, columns=3).points, square[:3].T)
+    assert_array_equal(read_cloud(path, columns=4).points, square[:3, :3])
     with pytest.raises(DatasetError, match="--columns 5"):
-        read_points(path, 5)
+        read_cloud(path, columns=5)
     np.save(path, RNG.normal(size=(100, 90)))
     with pytest.raises(DatasetError, match="8 columns at most"):
-        read_points(path)
+        read_cloud(path)
 
 
 def test_columns_are_for_files_without_names(tmp_path):
     np.savetxt(tmp_path / "scan.xyz", ROOM[:5])
     with pytest.raises(DatasetError, match=r"--columns is for \.bin"):
-        read_points(tmp_path / "scan.xyz", 4)
+        read_cloud(tmp_path / "scan.xyz", columns=4)
 
 
 def test_archives_say_what_they_hold_instead(tmp_path):
@@ -128,4 +137,4 @@ def test_archives_say_what_they_hold_instead(tmp_path):
         ("b", "holds xyz, expected an array"),
     ):
         with pytest.raises(DatasetError, match=said):
-            read_points(tmp_path / f"{name}.npz")
+            read_cloud(tmp_path / f"{name}.npz")

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.clouds import read_points, scans_in
+from scenegen.clouds import read_cloud, scans_in
 from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
 from tests.command_line import rows
@@ -22,7 +22,7 @@ XYZ = "property float x;property float y;property float z;end_header"
 def test_what_trimesh_writes_as_ply_comes_back(tmp_path, encoding):
     cloud = trimesh.PointCloud(POINTS, colors=np.full((50, 4), 7, np.uint8))
     (tmp_path / "scan.ply").write_bytes(cloud.export(file_type="ply", encoding=encoding))
-    assert_allclose(read_points(tmp_path / "scan.ply"), POINTS, atol=1e-7)
+    assert_allclose(read_cloud(tmp_path / "scan.ply").points, POINTS, atol=1e-7)
 
 
 def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
@@ -36,24 +36,27 @@ def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
     for axis, column in zip("xyz", POINTS.T, strict=True):
         rows[axis] = column
     (tmp_path / "scan.ply").write_bytes(head.encode("latin-1") + rows.tobytes() + b"\3" + bytes(12))
-    assert_array_equal(read_points(tmp_path / "scan.ply"), POINTS)
+    assert_array_equal(read_cloud(tmp_path / "scan.ply").points, POINTS)
 
 
 def test_arrays_and_text_come_back(tmp_path):
     for order in "CF":
         np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
-        assert_array_equal(read_points(tmp_path / "scan.npy"), POINTS)
+        assert_array_equal(read_cloud(tmp_path / "scan.npy").points, POINTS)
     (tmp_path / "scan.XYZ").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
-    assert_array_equal(read_points(tmp_path / "scan.XYZ"), [[1, 2, 3], [4, 5, np.nan]])
+    assert_array_equal(read_cloud(tmp_path / "scan.XYZ").points, [[1, 2, 3], [4, 5, np.nan]])
 
 
 @pytest.mark.parametrize(
-    "head", ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i"]
+    "head",
+    ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i", "x y z time"],
 )
 def test_a_first_line_of_names_says_where_x_y_and_z_are(tmp_path, head):
     before = "9 " * head.startswith(("# i", "t"))
-    (tmp_path / "a.xyz").write_text(f"{head}\n{before}1 2 3 7\n{before}4 5 6 7\n")
-    assert_array_equal(read_points(tmp_path / "a.xyz"), [[1, 2, 3], [4, 5, 6]])
+    after = "12:30:00" if "time" in head else "7"
+    text = "".join(f"{before}{point} {after}\n" for point in ("1 2 3", "4 5 6"))
+    (tmp_path / "a.xyz").write_text(f"{head}\n{text}")
+    assert_array_equal(read_cloud(tmp_path / "a.xyz").points, [[1, 2, 3], [4, 5, 6]])
 
 
 def npy(header):
@@ -89,7 +92,7 @@ def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, suffix, 
     path = tmp_path / f"it{suffix}"
     path.write_bytes(content.encode("latin-1"))
     with pytest.raises(DatasetError, match=re.escape(said)):
-        read_points(path)
+        read_cloud(path)
 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
@@ -97,7 +100,7 @@ def test_what_scan_writes_comes_back(tmp_path, suffix):
     points = POINTS * np.array([9, 9, 1], "f4")  # as places are wider than high
     for intensity in (None, np.linspace(0, 1, 50)):
         write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
-        assert_array_equal(read_points(tmp_path / f"scan{suffix}"), points)
+        assert_array_equal(read_cloud(tmp_path / f"scan{suffix}").points, points)
 
 
 def pcd(form, n=3, fields="intensity _ z y x", type="U U F F F", count="1 3 1 1 1"):
@@ -121,7 +124,7 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
     sizes = struct.pack("<II", len(packed), len(columns))
     (tmp_path / "packed.pcd").write_bytes(pcd("binary_compressed") + sizes + packed)
     for name in ("text", "binary", "packed"):
-        assert_array_equal(read_points(tmp_path / f"{name}.pcd"), points)
+        assert_array_equal(read_cloud(tmp_path / f"{name}.pcd").points, points)
 
 
 PACKED, ROWS = pcd("binary_compressed"), bytes(63)
@@ -150,15 +153,15 @@ def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix,
     path = tmp_path / f"it{suffix}"
     path.write_bytes(content)
     with pytest.raises(DatasetError, match=path.name):
-        read_points(path)
+        read_cloud(path)
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("scenegen.cloud_arrays.MOST_SCAN_BYTES", 10_000)
+    monkeypatch.setattr("scenegen.clouds.formats.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
     with pytest.raises(DatasetError, match="10000 at most"):
-        read_points(tmp_path / "bomb.npz")
+        read_cloud(tmp_path / "bomb.npz")
 
 
 def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):

@@ -1,32 +1,31 @@
-"""Point clouds on disk, read here so that no file takes more memory than it has content."""
+"""Point clouds on disk: one function reads a file of any format into one record, a `Cloud`.
+
+`formats` turns the bytes of a file into columns, `columns` tells which of them are a point's
+position, its sensor's and its time, and `read_cloud` makes the record of these. No file takes more
+memory than it has content.
+"""
 
 import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import Floats
-from scenegen.cloud_arrays import (
-    read_archive,
-    read_array,
-    read_bin,
-    read_kitti,
-    read_nuscenes,
-    read_xyz,
-)
-from scenegen.cloud_fields import Table, read_las, read_pcd, read_ply
+from lidarsim.grid import Floats, Mask
+from scenegen.clouds import formats
+from scenegen.clouds.columns import Table, origin_fields, time_fields
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_POINTS, MOST_SCAN_BYTES
 
-MOST_SCANS = 100_000
-"""The most scans of a folder."""
-MOST_DIGITS = 255
-"""The most digits of a number in a file's name."""
+MAX_SCANS = 100_000
+"""Scans of a folder."""
+MAX_DIGITS = 255
+"""Digits of a number in a file's name."""
 KITTI_FOLDER = "velodyne"
 """What KITTI calls the folder of a sequence's clouds."""
 MAX_SCAN_M = 1e5
@@ -35,30 +34,49 @@ MAX_SCAN_M = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points, and where they were seen from."""
+    """The points of a file or a message, and what it says of them."""
 
     points: Floats
     """(N, 3), metres; a point of NaN or infinity is a ray that returned nothing."""
-    sensors: Floats | None
-    """(N, 3) or, the same for all, (1, 3): where the sensor was, in the points' frame, metres. None
-    where the file does not say."""
     layout: str
-    """What was taken of the file, for people: "x y z intensity (KITTI .bin, 4 columns)"."""
+    """How the file was read, for people: "x y z intensity (KITTI .bin, 4 columns)"."""
+    origins: Floats | None = None
+    """(N, 3) or, the same for all, (1, 3): where the sensor was, in the points' frame, metres. None
+    if the file does not say."""
+    times: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Fields that may be times of the points, by name, (N,), as written."""
+
+    @property
+    def returned(self) -> Mask:
+        """(N,): which points, in their sensor's frame, are neither missing nor 0 0 0."""
+        return np.asarray(np.isfinite(self.points).all(axis=1) & self.points.any(axis=1))
 
 
-def read_points(path: Path, columns: int | None = None) -> Floats:
-    """The points of a scan, as `Cloud` has them. Raises as `read_cloud`."""
-    return read_cloud(path, columns=columns).points
+def cloud_of(table: Table) -> Cloud:
+    """The cloud of a file's columns. Raises ValueError if these are not numbers."""
+    columns = table.columns
+
+    def stacked(names: list[str]) -> Floats:
+        return np.stack([np.asarray(columns[name], np.float64) for name in names], axis=1)
+
+    points = stacked([*"xyz"])
+    origins = stacked(fields) if (fields := origin_fields(columns)) else table.origin
+    times = {
+        name: columns[name]
+        for name in time_fields([*columns])
+        if columns[name].shape == points.shape[:1] and columns[name].dtype.kind in "fiu"
+    }
+    return Cloud(points, table.layout, origins, times)
 
 
 def read_cloud(
-    path: Path, most_bytes: int = MOST_SCAN_BYTES, *, columns: int | None = None
+    path: Path, max_bytes: int = MOST_SCAN_BYTES, *, columns: int | None = None
 ) -> Cloud:
     """Read the points of a file.
 
     Args:
         path: One of the file types in `READERS`.
-        most_bytes: The largest file that is read.
+        max_bytes: The largest file that is read.
         columns: Numbers of a point in a file whose columns have no names; by default what the
             format, or the numbers, tell.
 
@@ -72,44 +90,40 @@ def read_cloud(
         )
     if columns is not None and kind not in UNNAMED:
         raise DatasetError(f"{path}: --columns is for {', '.join(UNNAMED)}; leave it out for this")
-    content = read_bounded(path, most_bytes)
+    content = read_bounded(path, max_bytes)
     try:
         if kind in NAMED:
-            found, layout = NAMED[kind](content)
+            table = NAMED[kind](content)
+        elif kind == ".bin" and path.parent.name == KITTI_FOLDER:
+            table = formats.read_kitti(content, columns)
         else:
-            reader = UNNAMED[kind]
-            if kind == ".bin" and path.parent.name == KITTI_FOLDER:
-                reader = read_kitti
-            found, layout = reader(content, columns)
+            table = UNNAMED[kind](content, columns)
+        cloud = cloud_of(table)
     except ModuleNotFoundError:
         raise DatasetError(f"{path}: {needs('laspy and lazrs', 'las')}") from None
     except Exception as error:  # numpy's parsers raise anything
         raise DatasetError(f"{path}: cannot be read as {kind}: {printable(error)[:300]}") from None
-    if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
-        raise DatasetError(
-            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers, N "
-            f"from 1 on: x, y, z in metres"
-        )
-    if len(found) > MOST_POINTS:
+    if not len(cloud.points):
+        raise DatasetError(f"{path}: holds no points, expected (N, 3) numbers: x, y, z in metres")
+    if len(cloud.points) > MOST_POINTS:
         raise DatasetError(
             f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many"
         )
-    sensors = found[:, 3:].astype(np.float64) if found.shape[1] == 6 else None
-    return Cloud(found[:, :3].astype(np.float64), sensors, layout)
+    return cloud
 
 
-def check_scan(points: Floats, sensors: ArrayLike, where: str) -> None:
+def check_scan(points: Floats, origins: ArrayLike, where: str) -> None:
     """Refuse what no sensor returns.
 
     Args:
         points: (N, 3), metres.
-        sensors: Where they were seen from, (3,), (1, 3) or (N, 3), in the same frame.
+        origins: Where they were seen from, (3,), (1, 3) or (N, 3), in the same frame.
         where: What the error names, a file.
 
     Raises:
         DatasetError: A finite point is farther than `MAX_SCAN_M` from its sensor.
     """
-    away = np.abs(points - np.asarray(sensors, float)).max(axis=1)
+    away = np.abs(points - np.asarray(origins, float)).max(axis=1)
     far = np.isfinite(away) & (away > MAX_SCAN_M)
     if far.any():
         raise DatasetError(
@@ -145,48 +159,42 @@ class ReadReport:
 
 
 NAMED: dict[str, Callable[[bytes], Table]] = {
-    ".ply": read_ply,
-    ".pcd": read_pcd,
-    ".las": read_las,
-    ".laz": read_las,
-    ".xyz": read_xyz,
+    ".ply": formats.read_ply,
+    ".pcd": formats.read_pcd,
+    ".las": formats.read_las,
+    ".laz": formats.read_las,
+    ".xyz": formats.read_xyz,
 }
-"""File types of scans whose fields are known, and what reads each; see `READERS`."""
+"""File types whose fields have names, and their readers."""
 UNNAMED: dict[str, Callable[[bytes, int | None], Table]] = {
-    ".bin": read_bin,
-    ".pcd.bin": read_nuscenes,
-    ".npy": read_array,
-    ".npz": read_archive,
+    ".bin": formats.read_bin,
+    ".pcd.bin": formats.read_nuscenes,
+    ".npy": formats.read_array,
+    ".npz": formats.read_archive,
 }
 """Those whose readers take a number of columns, or None."""
 READERS = NAMED | UNNAMED
-"""File types of scans, and what reads each: bytes to a `Table`. A reader may raise anything:
-`read_cloud` makes one line of it."""
+"""File types of scans, and their readers."""
 
 
 def _kind(path: Path) -> str:
     """The file type of a scan by its name, as `READERS` has it."""
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    return next(
-        (end for end in ("".join(suffixes), suffixes[-1] if suffixes else "") if end in READERS), ""
-    )
+    name = path.name.lower()
+    return max((suffix for suffix in READERS if name.endswith(suffix)), key=len, default="")
 
 
 def scans_in(folder: Path) -> list[Path]:
     """Files of these types in a folder and those below it, sorted, numbers in their names by value.
-    Raises DatasetError for more than `MOST_SCANS`."""
-    found = list(
-        itertools.islice(
-            (path for path in folder.rglob("*") if path.suffix.lower() in READERS), MOST_SCANS + 1
-        )
-    )
-    if len(found) > MOST_SCANS:
-        raise DatasetError(f"{folder}: holds more than {MOST_SCANS} scans; give a folder of fewer")
-    return sorted(found, key=_by_number)
+    Raises DatasetError for more than `MAX_SCANS`."""
+    matches = (path for path in folder.rglob("*") if path.suffix.lower() in READERS)
+    scans = list(itertools.islice(matches, MAX_SCANS + 1))
+    if len(scans) > MAX_SCANS:
+        raise DatasetError(f"{folder}: holds more than {MAX_SCANS} scans; give a folder of fewer")
+    return sorted(scans, key=_by_number)
 
 
 def _by_number(path: Path) -> tuple[Path, str, str]:
     """A path's place in its folder: 2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and
     digits before letters. What follows a point are decimals."""
-    padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MOST_DIGITS), path.stem)
+    padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MAX_DIGITS), path.stem)
     return path.parent, padded, path.name
