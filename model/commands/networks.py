@@ -1,7 +1,6 @@
 """`scenegen export` and `calibrate`: networks as ONNX, and how sure one may be."""
 
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +78,10 @@ def calibrate(
     if talk:
         announce_compilation()
     folders = find_datasets(datasets, shown=talk)
-    found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
+    with Progress("calibrate", shown=talk) as progress:
+        found = fit(
+            weights, folders, out, **options, on_start=progress.start, on_done=progress.count
+        )
     if tell(asdict(found)):
         say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
         say(f"written: {out}")

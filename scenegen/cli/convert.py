@@ -77,7 +77,7 @@ def convert(
             splits=splits or SPLITS,
             execute=execute,
             on_start=progress.start,
-            on_sample=progress.count,
+            on_done=progress.count,
         )
     for line in (*(done.notes if not quiet else ()), *done.broken):
         note(line)

@@ -5,14 +5,14 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rich_click as click
 
 from scenegen.errors import escaped, plural, printable
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
@@ -176,9 +176,12 @@ class Progress:
             self._bar.stop()
 
     def start(self, total: int) -> None:
-        """Shows the bar, of `total` samples less those counted already."""
+        """Shows a bar of `total` samples, of which those counted before the first bar are done."""
         if not self._shown:
             return
+        if self._bar is not None:
+            self.stop()
+            self._done = 0
         from rich import progress
         from rich.console import Console
 
@@ -200,6 +203,7 @@ class Progress:
     def restart(self, label: str, total: int, done: int) -> None:
         """Shows a new bar of `total` samples, `done` of them already."""
         self.stop()
+        self._bar = None
         self._label, self._done = label, done
         self.start(total)
 
@@ -225,30 +229,3 @@ class Progress:
 Tell = Callable[[Any], bool]
 """What prints a command's result as JSON, if that is asked for, and says whether to show it to
 people; it is given the result, or what makes one that takes time."""
-Showing = Callable[[str], Progress]
-"""What makes the bar of work that has a label."""
-
-
-def silent(label: str) -> Progress:
-    """The bar of work that nobody watches."""
-    return Progress(label, shown=False)
-
-
-def counted(
-    execute: Executor,
-    progress: Showing,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    label: str,
-    total: int,
-    size: Callable[[Any], int] = len,
-) -> Iterator[Any]:
-    """What `execute` has `work` make of each task, as it comes; `progress` shows how many samples
-    of the `total` there are, of which a result holds its `size`."""
-    with (
-        progress(label) as shown,
-        closing(execute(work, tasks, lambda: shown.start(total))) as results,
-    ):
-        for one in results:
-            shown.count(size(one))
-            yield one

@@ -11,7 +11,6 @@ from PIL import Image
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.pose import rotate
-from scenegen.cli.show import silent
 from scenegen.display.colours import SENSOR
 from scenegen.errors import GenerationError
 from scenegen.fly import Vehicle, missions, suite
@@ -286,7 +285,7 @@ def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
         monkeypatch.setattr(flights, "SAVED_S", -1.0)
         given = (courses, lambda one: (one, [flown]), "idle", name, file)
         with pytest.raises(GenerationError):
-            flights.fly_courses(*given, partial(flights.counted, stopped, silent))
+            flights.fly_courses(*given, flights.crew_of(stopped))
     assert saved == [1, False]
     assert f"{tmp_path}/aerial-1.json holds 1 of 3 courses" in said[0]
     assert len(Recording.read(tmp_path / "aerial-1.json").courses) == 3
