@@ -26,6 +26,7 @@ from scenegen.files import claim, real_path, write_result
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
+from scenegen.paths import is_log, is_map
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
@@ -118,7 +119,6 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
-    from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import (
         predict_scan,
@@ -127,7 +127,6 @@ def complete(
         tasks_of,
     )
     from scenegen.model.training.device import choose_device
-    from scenegen.worlds import is_map
 
     elsewhere = was_given("on") or was_given("workers")
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)

@@ -12,12 +12,15 @@ from scenegen.cli.options import (
     flags_given,
     group,
     index_option,
+    open_dataset,
     quiet_option,
     split_option,
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
+from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
+from scenegen.paths import function_for, type_of
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
@@ -85,16 +88,19 @@ def view(
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.manifest import NAME
-    from scenegen.dataset.read import Dataset
+    name = type_of(dataset)
+    if out is not None and name == "predictions":
+        from scenegen.display.page import page
 
-    path = Path(dataset)
-    inside = sorted(path.glob(f"*/{NAME}")) if out is None and not (path / NAME).exists() else []
-    folders = [manifest.parent for manifest in inside] or [locate(dataset, shown=not quiet)]
-    if len(folders) > 1 and shown["predictions"] is not None:
-        raise click.UsageError("--predictions: is of one dataset; name that one")
-    opened = [Dataset(folder, partial=True) for folder in folders]
+        looks = function_for(dataset, "shows")(Path(dataset))
+        write_result(out, page(looks, title=str(dataset)).encode())
+        return
+    paths: list[Path | str] = [dataset]
+    if name == "datasets" and out is None:
+        paths = [manifest.parent for manifest in sorted(Path(dataset).glob("*/dataset.json"))]
+        if shown["predictions"] is not None:
+            raise click.UsageError("--predictions: is of one dataset; name that one")
+    opened = [open_dataset(path, shown=not quiet) for path in paths]
     guesses, methods = chosen(opened[0], split, **shown)
     if out is not None:
         write_page(opened[0], split, indices, count, out, quiet, guesses)
@@ -139,7 +145,6 @@ def write_page(
     evenly spread."""
     from scenegen.display.look import looks, spread, title_of
     from scenegen.display.page import check_grid, page
-    from scenegen.files import write_result
 
     check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), guesses)

@@ -141,8 +141,10 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def prediction_facts(path: Path) -> Json:
-    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
-    Raises DatasetError."""
+    """An HDF5 file of predictions, of a split or of one scan, or the first one of a folder: who
+    made them, and what is in it. Raises DatasetError."""
+    if path.is_dir():
+        path = min(path.glob("*.h5"), default=path / PREDICTIONS)
     return read_guarded(_facts, path, 1 << 62)
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -28,13 +28,14 @@ from scenegen.files import check_ours, make_way, read_bounded, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
 from scenegen.logs.log import Log
-from scenegen.logs.read import is_log, read_log
+from scenegen.logs.read import read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
 from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
+from scenegen.paths import is_log
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -256,6 +257,24 @@ def _completion(path: Path) -> Look:
         )
     except Exception:  # h5py's errors share no base
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
+
+
+def looks_of_completion(path: Path) -> list[Look]:
+    """The completion of a scan as the only one of a list; see `read_completion`."""
+    return [read_completion(path)]
+
+
+def draw_completion(path: Path) -> Any:
+    """Draw the completion of a scan, see `read_completion`, as a figure of matplotlib."""
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_sample
+
+    look = read_completion(path)
+    (guess,) = look.guesses
+    masks = {**look.masks, "predicted": guess.occupied}
+    panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
+    look = replace(look, masks=masks, tudf=guess.tudf)
+    return draw_sample(look, title=plain(path.name), panels=panels)
 
 
 def read_line(done: Sequence[Completed]) -> str:

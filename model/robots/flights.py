@@ -14,7 +14,14 @@ import numpy as np
 
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import Json, check_ours, write_result, write_whole
-from scenegen.fly.course import Course, Flights, FlownCourse, Recording, replay
+from scenegen.fly.course import (
+    Course,
+    Flights,
+    FlownCourse,
+    Recording,
+    read_recording,
+    replay,
+)
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -211,11 +218,11 @@ def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Co
         return {}
     if entry.suite is None or not out.exists():
         with suppress(DatasetError):  # another file, or none
-            if Recording.read(out).suite:
+            if read_recording(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)
         return {}
-    former = Recording.read(out)
+    former = read_recording(out)
     entry = replace(entry, track=entry.track or track_of(former))
     if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
@@ -251,7 +258,7 @@ def flown_again(
         ScenegenError: `hidden` or `maps` are not those of the entry, or a course is not one of its
             suite's.
     """
-    recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
+    recording, track, told = read_recording(path), track_name(hidden, maps), dict[str, str]()
     if recording.suite is not None:
         with raised_as(DatasetError, f"{path}: ", of=DatasetError):
             part = part_of(recording)

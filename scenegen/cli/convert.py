@@ -22,6 +22,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
+from scenegen.paths import type_of
 from scenegen.run import Executor
 
 
@@ -106,7 +107,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 
     With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
     """
-    alone = Path(dataset).suffix == ".xml"
+    alone = type_of(dataset) == "world"
     surfaces = out is not None and out.suffix == ".glb"
     if alone and not surfaces:
         raise click.UsageError(

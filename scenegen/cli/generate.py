@@ -42,8 +42,8 @@ from scenegen.cli.show import (
 from scenegen.cli.types import FILE, Choice, Named, Written, read_range
 from scenegen.errors import AskedError, raised_as
 from scenegen.limits import USUAL_IN_SHARD
+from scenegen.paths import WORLD_FILES
 from scenegen.recipes import KINDS
-from scenegen.worlds import WORLD_FILES
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:

@@ -29,6 +29,7 @@ from scenegen.cli.types import (
     Written,
 )
 from scenegen.limits import MOST_WORKERS
+from scenegen.paths import check_type
 from scenegen.recipes import KINDS
 from scenegen.run import EXECUTORS, LOCAL, cores, executor
 from scenegen.worlds.mapping import Mapper
@@ -359,6 +360,7 @@ def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "
     from scenegen.dataset.locate import locate
     from scenegen.dataset.read import Dataset
 
+    check_type(dataset, "dataset")
     return Dataset(locate(dataset, shown=shown), partial=partial)
 
 
@@ -369,6 +371,8 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Pat
     from scenegen.dataset.locate import locate
     from scenegen.dataset.trust import load
 
+    for dataset in datasets:
+        check_type(dataset, "dataset")
     found = [locate(dataset, shown=shown) for dataset in datasets]
     for path in () if found else sorted(Path("data").glob("*/dataset.json")):
         if load(path.parent).shards:

@@ -73,10 +73,12 @@ def publish(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
+    from scenegen.paths import check_type
     from scenegen.run import check_together
     from scenegen.share.stage import Request
     from scenegen.share.upload import publish as run_publish
 
+    check_type(dataset, "dataset")
     check_together(options["execute"], "publish takes")
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),

@@ -29,7 +29,7 @@ from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_tabl
 from scenegen.cli.types import Named, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.logs import Cruise
-from scenegen.worlds import CLOUDS, MAPS
+from scenegen.paths import type_of
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
@@ -191,7 +191,7 @@ def scan(
         raise click.UsageError("--sequence goes with --flight, and without --frame")
     if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
-    if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
+    if type_of(world) in ("map", "scan", "plan") and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from scenegen.dataset.shard import find_engine
     from scenegen.display.exchange.files import SUFFIXES

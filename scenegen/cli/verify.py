@@ -44,8 +44,10 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
+    from scenegen.paths import check_type
     from scenegen.verification import verify as prove
 
+    check_type(dataset, "dataset")
     folder = locate(dataset, shown=talk, whole=True)
     begin = time.perf_counter()
     with Progress("verify", shown=talk) as progress:

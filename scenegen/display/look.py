@@ -3,12 +3,14 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
+from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
@@ -237,6 +239,14 @@ def looks(
     if not found:
         raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
     return found, notes
+
+
+def looks_of_dataset(folder: Path, most: int = 24) -> list[Look]:
+    """At most `most` samples of a dataset's first split that has any, evenly spread. Raises
+    DatasetError."""
+    dataset = Dataset(folder, partial=True)
+    split = next((name for name in SPLITS if len(dataset.split(name))), SPLITS[0])
+    return looks(dataset, split, spread(dataset, split, most))[0]
 
 
 def title_of(dataset: Dataset) -> str:

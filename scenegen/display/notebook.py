@@ -1,4 +1,4 @@
-"""Samples, what is predicted of them, and paths: a page in a notebook, a file, or a browser."""
+"""Samples with predictions and paths, or a file, as a page in a notebook, a file, or a browser."""
 
 import base64
 import html
@@ -6,18 +6,21 @@ import importlib.util
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim import GridSpec, Sensor
+from scenegen.dataset.locate import locate
 from scenegen.display.look import Guess, Look, Route, look_at
 from scenegen.display.page import page
 from scenegen.errors import DatasetError
 from scenegen.files import write_result
+from scenegen.paths import TYPES, function_for, what_is
 from scenegen.sample import Sample
 
 TALL = 620
@@ -31,10 +34,12 @@ class Shown:
     html: str
     """The page."""
     looks: Sequence[Look]
-    """What is on it."""
+    """The samples on it; none of a picture."""
+    draw: Callable[[], Any]
+    """Draws a figure of the first of them."""
 
     def __repr__(self) -> str:
-        return f"<Shown: {', '.join(look.name for look in self.looks)}>"
+        return f"<Shown: {', '.join(look.name for look in self.looks) or 'a picture'}>"
 
     def _repr_html_(self) -> str:
         """The page in a frame; below it a picture of the first sample, which is what one sees where
@@ -42,31 +47,34 @@ class Shown:
         if importlib.util.find_spec("matplotlib") is None:
             below = "<p>A picture where no scripts run needs matplotlib: the extra view.</p>"
         else:
-            below = f'<img src="{self._picture()}" style="max-width: 100%; max-height: 100%">'
+            below = picture(self.draw())
         frame = "position: absolute; inset: 0; width: 100%; height: 100%; border: 0"
         return (
             f'<div style="position: relative; height: {TALL}px">{below}'
             f'<iframe srcdoc="{html.escape(self.html)}" style="{frame}"></iframe></div>'
         )
 
-    def _picture(self) -> str:
-        from scenegen.display.figures import draw_completions
-        from scenegen.display.panels import plain, to_bytes
-        from scenegen.display.pictures import draw_sample
 
-        look = self.looks[0]
-        title = plain(look.name)
-        figure = (
-            draw_completions([look], title=title)
-            if look.guesses
-            else draw_sample(look, title=title)
-        )
-        drawn = to_bytes(figure, ".webp")
-        return f"data:image/webp;base64,{base64.b64encode(drawn).decode()}"
+def picture(figure: Any) -> str:
+    """A figure as an element of a page."""
+    from scenegen.display.panels import to_bytes
+
+    content = base64.b64encode(to_bytes(figure, ".webp")).decode()
+    style = "max-width: 100%; max-height: 100%"
+    return f'<img src="data:image/webp;base64,{content}" style="{style}">'
+
+
+def _draw(look: Look) -> Any:
+    from scenegen.display.figures import draw_completions
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_sample
+
+    title = plain(look.name)
+    return draw_completions([look], title=title) if look.guesses else draw_sample(look, title=title)
 
 
 def show(
-    samples: Sample | Sequence[Sample],
+    samples: Sample | Sequence[Sample] | str | Path,
     prediction: Any = None,
     path: Any = None,
     *,
@@ -74,13 +82,14 @@ def show(
     grid: GridSpec | None = None,
     lidar: Sensor | None = None,
 ) -> Shown:
-    """Show samples in three dimensions, and what was predicted of the first of them.
+    """Show samples in three dimensions, and what was predicted of the first of them; or a path.
 
     In a notebook the page shows as the value of its cell; elsewhere it is opened in a browser, or
     written to the file `out`.
 
     Args:
-        samples: One sample, or several.
+        samples: One sample, or several; or the path of a dataset, of which some samples are shown,
+            of the completion of a scan, or of anything that `scenegen render` draws, as a picture.
         prediction: What is predicted of the first sample: a `scenegen.Prediction`, or a bool array
             of occupied voxels; or several of them by the name of who predicts.
         path: Points (n, 3) of a path planned on the first of the predictions, or on the truth,
@@ -91,10 +100,18 @@ def show(
 
     Raises:
         DatasetError: The grid is not known, or too large for a page; a prediction or path does not
-            fit the map; or `out` is not ours to replace.
+            fit the map; a path is not known, or cannot be shown; or `out` is not ours to replace.
         TypeError: The sensor is not known.
     """
-    looks = []
+    looks: list[Look] = []
+    if isinstance(samples, str | Path):
+        if not TYPES[what_is(samples)].shows:
+            figure = function_for(samples, "draws")(Path(samples))
+            title = f"<title>{html.escape(str(samples))}</title>"
+            drawn = Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
+            return _open(drawn, out)
+        looks = function_for(samples, "shows")(locate(samples))
+        samples = ()
     for sample in [samples] if isinstance(samples, Sample) else samples:
         its_grid = grid or sample.grid
         if its_grid is None:
@@ -114,9 +131,14 @@ def show(
     guesses = [_guess(name, predicted, first.grid) for name, predicted in predictions.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
-    looks[0] = replace(first, guesses=tuple(guesses))
+    looks[0] = replace(first, guesses=(*first.guesses, *guesses))
     notes = [line for look in looks for line in look.missing]
-    shown = Shown(html=page(looks, title="scenegen", notes=notes), looks=looks)
+    content = page(looks, title="scenegen", notes=notes)
+    return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
+
+
+def _open(shown: Shown, out: str | Path | None) -> Shown:
+    """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         write_result(Path(out), shown.html.encode())
     elif "ipykernel" not in sys.modules:

@@ -2,7 +2,8 @@
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec
 from lidarsim.sensors.device import angles_deg
+from scenegen.clouds import ReadReport, read_cloud
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View, box_edges
@@ -160,23 +162,29 @@ def _landscape(title: str, low: Floats, high: Floats) -> tuple[Figure, Any]:
     return figure, panel
 
 
-def draw_cloud(points: Floats, *, title: str) -> Figure:
-    """Draws a scan that belongs to no dataset, with the usual map's box around the sensor.
+def draw_scan(
+    path: Path, columns: int | None = None, report: Callable[[object], None] = lambda line: None
+) -> Figure:
+    """Draw a scan that belongs to no dataset, with the usual map's box around the sensor.
 
     Args:
-        points: Returns (N, 3), metres, the sensor at the origin; NaN where a ray met nothing.
-        title: The words above it.
+        path: The file.
+        columns: See `read_cloud`.
+        report: Called with a line on how the file was read.
 
     Raises:
-        DatasetError: Nothing returned.
+        DatasetError: The file holds no scan, or nothing returned.
     """
-    points = points[np.isfinite(points).all(axis=1)]
+    cloud, counts = read_cloud(path, columns=columns), ReadReport()
+    counts.add(len(cloud.points), cloud.layout, 0)
+    report(counts)
+    points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
     if not len(points):
-        raise DatasetError(f"{title}: no point of it is a return")
+        raise DatasetError(f"{path}: no point of it is a return")
     points = points[:: -(-len(points) // MOST_DRAWN)]
     half = np.array(GridSpec().extent_m) / 2
     low, high = np.minimum(points.min(axis=0), -half), np.maximum(points.max(axis=0), half)
-    figure, panel = _landscape(title, low, high)
+    figure, panel = _landscape(plain(path.name), low, high)
     put_points(panel, points, low[2], high[2], max(0.3, min(4.0, 2e4 / len(points))))
     put_box(panel, -half, half)
     put_ball(panel, VIEW.project(np.zeros(3)))
@@ -201,6 +209,19 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
         panel.invert_xaxis()
         panel.grid(alpha=0.4)
     return figure
+
+
+def draw_world_file(path: Path, seed: int | None = None) -> Figure:
+    """Draw the world of an MJCF file or a mesh, and, by a seed, a random flight in it."""
+    # these compile; pictures of samples do without them
+    from scenegen.source import read_world
+    from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.world import solid
+
+    world = solid(read_world(path), str(path))
+    poses = [] if seed is None else poses_in_flight(world, seed=seed)
+    places = np.stack([pose.position for pose in poses]) if poses else None
+    return draw_world(world, title=plain(path.name), places=places, joined=True)
 
 
 def draw_world(
