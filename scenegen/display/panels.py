@@ -37,8 +37,8 @@ MAP = "#1560bd"
 DPI, PAPER_DPI = 150, 400
 MOST_VECTORS = 100
 """Voxels that a file for print holds as shapes; more are drawn as pixels."""
-BESIDE, NAME = 1.15, 0.25
-"""Room for a bar and the names of rows beside panels, and for these names alone, inches."""
+BESIDE, LINE = 1.15, 0.25
+"""Room for a bar beside panels, and for a line of letters, inches."""
 WIDE, TALL = 3.05, 2.6
 """A panel with voxels, inches."""
 LEAST = 1.1
@@ -48,14 +48,29 @@ SMALLER = 0.4
 MOST_FACES = 400_000
 """The most faces of voxels in a panel: drawing these takes some ten seconds."""
 
-Place = tuple[float, float, float, float]
-"""Left, bottom, width and height as shares of a figure."""
+
+def legend_columns(wide: float, marks: int) -> int:
+    """Columns of a legend of so many marks below a figure, inches."""
+    return min(marks, max(1, int(wide / 1.75)))
 
 
-def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figure:
-    """A white figure, inches; matplotlib's own layouts would take longer than all that is drawn."""
-    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white")
-    figure.suptitle(title, color=INK, fontsize=12, y=1 - 0.12 / tall, va="top")
+def blank(
+    wide: float, tall: float, title: str, handles: Sequence[Any], dpi: int | None = None
+) -> Figure:
+    """A white figure, inches, with a legend of `handles` below; what is put into it finds its
+    place when it is drawn."""
+    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white", layout="compressed")
+    if title:
+        figure.suptitle(title, color=INK, fontsize=12)
+    figure.legend(
+        handles=list(handles),
+        loc="outside lower center",
+        ncols=legend_columns(wide, len(handles)),
+        fontsize=8,
+        frameon=False,
+        labelcolor=INK,
+        handlelength=3,
+    )
     return figure
 
 
@@ -214,7 +229,7 @@ def frame_box(
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
     panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
-    panel.set_axis_off()
+    panel.set(xticks=[], yticks=[], frame_on=False)
 
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
@@ -234,12 +249,12 @@ def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> Non
             panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
 
 
-def add_bar(
-    figure: Figure, place: Place, anchors: Anchors, ends: tuple[float, float], label: str
-) -> None:
-    """A colour bar at `place`."""
+def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
+    """A colour bar beside some panels of a figure."""
     shades = LinearSegmentedColormap.from_list("", [rgb(one) for one in anchors])
-    bar = figure.colorbar(ScalarMappable(Normalize(*ends), shades), cax=figure.add_axes(place))
+    values = ScalarMappable(Normalize(*ends), shades)
+    panels = np.atleast_1d(panels).ravel().tolist()
+    bar = panels[0].figure.colorbar(values, ax=panels, shrink=0.7, aspect=25)
     bar.set_label(label, color=INK, fontsize=8)
     bar.ax.tick_params(labelsize=8, colors=INK)
 
@@ -252,24 +267,6 @@ def ball(label: str, colour: Any = RED, marker: str = "o") -> Line2D:
 def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") -> Line2D:
     """A line, for a legend."""
     return Line2D([], [], color=colour, linewidth=width, linestyle=style, label=label)
-
-
-def legend_columns(wide: float, marks: int) -> int:
-    """Columns of a legend of so many marks below a figure, inches."""
-    return min(marks, max(1, int(wide / 1.75)))
-
-
-def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
-    """What marks mean, at the lower end."""
-    figure.legend(
-        handles=list(handles),
-        loc="lower center",
-        ncols=legend_columns(figure.get_figwidth(), len(handles)),
-        fontsize=8,
-        frameon=False,
-        labelcolor=INK,
-        handlelength=3,
-    )
 
 
 def across(most: int, width: float | None) -> int:
@@ -306,31 +303,20 @@ class Grid:
                 )
             scale = (width - BESIDE) / (WIDE * columns)
         wide = width or max(scale * WIDE * columns + BESIDE, 6.5)
-        below = 0.2 + 0.2 * -(-len(handles) // legend_columns(wide, len(handles)))
-        letters = 0.25 if width else 0.0  # for print they stay as large, and need room of their own
-        tall = (scale * TALL + letters) * rows + below + (0.45 if title else 0.2)
-        self.figure = blank(wide, tall, title)
-        add_legend(self.figure, handles)
-        self.right = 1 - (BESIDE - NAME) / wide
-        room = {"left": NAME / wide, "right": self.right, "bottom": below / tall}
-        room["top"] = 1 - (0.6 if title else 0.25) / tall
-        self.panels = self.figure.subplots(
-            rows,
-            columns,
-            squeeze=False,
-            gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08 + letters / (scale * TALL)},
-        )
+        lines = 2 + -(-len(handles) // legend_columns(wide, len(handles)))
+        tall = (scale * TALL + (LINE if width else 0)) * rows + LINE * lines
+        self.figure = blank(wide, tall, title, handles)
+        bare = {"xticks": [], "yticks": [], "frame_on": False}
+        self.panels = self.figure.subplots(rows, columns, squeeze=False, subplot_kw=bare)
         if self.turned:
             self.panels = self.panels.T
-        for panel in self.panels.flat:
-            panel.set_axis_off()
 
     def level(
         self, row: int, column: int, look: Look, level: int, tudf: Any, title: str | None = None
     ) -> None:
         """Draws one level of distances `tudf` (X, Y, Z) in a panel, x right and y up, in metres of
         the world."""
-        panel = self.panels[row, column].inset_axes((0.2, 0.15, 0.73, 0.74))
+        panel = self.panels[row, column]
         z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
         put_title(panel, f"distances at z = {z:.2f} m" if title is None else title)
         if tudf is None:
@@ -343,8 +329,11 @@ class Grid:
         )
         if abs(z - look.position[2]) <= look.grid.voxel_m:
             put_ball(panel, look.position[:2])
-        panel.set_xlabel("x / m", color=INK, fontsize=8)
-        panel.set_ylabel("y / m", color=INK, fontsize=8)
+        panel.set_frame_on(True)
+        for axis, name in ((panel.xaxis, "x / m"), (panel.yaxis, "y / m")):
+            axis.set_major_locator(MaxNLocator(4))
+            above = f"{axis.get_label_text()}\n".lstrip()  # the name of the row
+            axis.set_label_text(above + name, color=INK, fontsize=8)
         panel.tick_params(labelsize=8, colors=INK)
 
     def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
@@ -357,15 +346,11 @@ class Grid:
         self._bar(DISTANCES, look.grid.truncation_m, "distance / m", row)
 
     def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
-        beside = self.panels if row is None or self.turned else self.panels[row]
-        down = beside.flat[-1].get_position().y0
-        high = beside.flat[0].get_position().y1 - down
+        beside = self.panels if row is None else self.panels[row]
         if self.turned and row is not None:  # one bar above the other
-            high /= 2
-            down += (1 - row) * high
-        left = self.right + 0.15 * (1 - self.right)
-        wide = 0.14 * (1 - self.right)
-        add_bar(self.figure, (left, down + 0.1 * high, wide, 0.8 * high), anchors, (0, most), label)
+            middle = -(-len(beside) // 2)
+            beside = self.panels.T[:middle] if row == 0 else self.panels.T[middle:]
+        add_bar(beside, anchors, (0, most), label)
 
     def name_row(self, row: int, text: str) -> None:
         """The words left of a row."""
@@ -379,18 +364,8 @@ class Grid:
     def _name(self, panel: Any, text: str, *, above: bool) -> None:
         if above:
             put_title(panel, plain(text))
-            return
-        place = panel.get_position()
-        self.figure.text(
-            0.5 * NAME / self.figure.get_figwidth(),
-            (place.y0 + place.y1) / 2,
-            plain(text),
-            rotation=90,
-            va="center",
-            ha="center",
-            fontsize=9,
-            color=INK,
-        )
+        else:
+            panel.set_ylabel(plain(text), color=INK, fontsize=9)
 
 
 def at_sensor(look: Look) -> int:

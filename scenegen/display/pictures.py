@@ -23,7 +23,6 @@ from scenegen.display.panels import (
     Grid,
     across,
     add_bar,
-    add_legend,
     ball,
     blank,
     draw_panel,
@@ -120,8 +119,8 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
         wide = math.hypot(*flat)
         tall = wide * math.sin(view.elevation) + up * math.cos(view.elevation)
         reach = 1.03 * max(wide, tall / 0.75)
-        figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
-        panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
+        figure = blank(6.4, 4.8, title, MARKS, dpi=TURN_DPI)
+        panel = figure.subplots()
         _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
         # the same in every picture
@@ -129,8 +128,7 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
             xlim=(across - reach, across + reach),
             ylim=(upward - 0.75 * reach, upward + 0.75 * reach),
         )
-        add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
-        add_legend(figure, MARKS)
+        add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
     file = io.BytesIO()
     pictures[0].save(
@@ -153,12 +151,12 @@ def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
 
 
-def _landscape(title: str, low: Floats, high: Floats) -> tuple[Figure, Any]:
+def _landscape(title: str, low: Floats, high: Floats, handles: Sequence[Any]) -> tuple[Figure, Any]:
     """A figure with one wide panel, a box in it, and a bar of heights."""
-    figure = blank(9, 6.6, title)
-    panel = figure.add_axes((0.01, 0.05, 0.86, 0.88))
+    figure = blank(9, 6.6, title, handles)
+    panel = figure.subplots()
     frame_box(panel, low, high)
-    add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
+    add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
     return figure, panel
 
 
@@ -184,13 +182,13 @@ def draw_scan(
     points = points[:: -(-len(points) // MOST_DRAWN)]
     half = np.array(GridSpec().extent_m) / 2
     low, high = np.minimum(points.min(axis=0), -half), np.maximum(points.max(axis=0), half)
-    figure, panel = _landscape(plain(path.name), low, high)
+    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
+    around = line(f"a map of {size} m around it", MAP, 1.2)
+    handles = [ball("sensor"), around, line("the box of all points")]
+    figure, panel = _landscape(plain(path.name), low, high, handles)
     put_points(panel, points, low[2], high[2], max(0.3, min(4.0, 2e4 / len(points))))
     put_box(panel, -half, half)
     put_ball(panel, VIEW.project(np.zeros(3)))
-    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
-    around = line(f"a map of {size} m around it", MAP, 1.2)
-    add_legend(figure, [ball("sensor"), around, line("the box of all points")])
     return figure
 
 
@@ -249,19 +247,20 @@ def draw_world(
     bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
     low[2] = min([low[2], *bounded[:, 2], *world.solids.triangles.reshape(-1, 3)[:, 2]])
     image, extent = see(world, low, high)
-    figure, panel = _landscape(title, low, high)
+    handles = [line("the flight's box, down to the ground")]
+    if box is not None:
+        handles.insert(0, line("the map's box", MAP, 1.4))
+    if places is not None:
+        handles.insert(0, ball("viewpoints"))
+    figure, panel = _landscape(title, low, high, handles)
     limits = panel.axis()
     panel.imshow(image, origin="lower", extent=extent, zorder=2)
     panel.axis(limits)  # imshow sets its own
-    handles = [line("the flight's box, down to the ground")]
     if box is not None:
         put_box(panel, *box)
-        handles.insert(0, line("the map's box", MAP, 1.4))
     if places is not None:
         panel.plot(*VIEW.project(places).T, color=RED, linewidth=float(joined), zorder=6)
         put_ball(panel, VIEW.project(places), size=24)
-        handles.insert(0, ball("viewpoints"))
-    add_legend(figure, handles)
     return figure
 
 
