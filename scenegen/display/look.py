@@ -102,46 +102,40 @@ class Look:
         shares = dict(self.masks)
         if {"observed", "free"} <= shares.keys():
             shares["unknown"] = ~(shares["observed"] | shares["free"])
-        found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
         if self.known is not None:
-            found["known"] = f"{100 * self.known.mean():.2f} %"
-            if "occupancy" in shares and self.known.any():
-                occupied = shares["occupancy"][self.known]
-                found["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
+            shares["known"] = self.known
+        rows = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
+        if self.known is not None and "occupancy" in shares and self.known.any():
+            occupied = shares["occupancy"][self.known]
+            rows["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
         if self.points is not None:
             several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
-            found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
+            rows["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
             if len(own := self.scans[0]):
                 ranges = np.linalg.norm(own - self.position, axis=1)
-                found["mean range"] = f"{ranges.mean():.2f} m"
+                rows["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
-            certain = self.certain
-            if certain is None:
-                found["mean distance"] = f"{self.tudf.mean():.2f} m"
-            elif certain.any():
-                found["mean distance"] = f"{self.tudf[certain].mean():.2f} m where certain"
+            all_certain = self.certain is None
+            certain = self.tudf.ravel() if all_certain else self.tudf[self.certain]
+            if len(certain):
+                where = "" if all_certain else " where certain"
+                rows["mean distance"] = f"{certain.mean():.2f} m{where}"
         for guess in self.guesses:
-            if (both := self._scored(guess)) is not None:
-                truth, occupied = both
-                missed, invented = (truth & ~occupied).sum(), (occupied & ~truth).sum()
-                found[guess.name] = f"{self.iou(guess)}, {missed} missed, {invented} invented"
+            if (text := self.iou(guess)) and (truth := self.masks.get("occupancy")) is not None:
+                wrong = (truth ^ guess.occupied) & (True if self.scored is None else self.scored)
+                missed, invented = (wrong & truth).sum(), (wrong & guess.occupied).sum()
+                rows[guess.name] = f"{text}, {missed} missed, {invented} invented"
             if guess.route is not None:
-                found[f"{guess.name}: path"] = guess.route.told
-        return found
+                rows[f"{guess.name}: path"] = guess.route.told
+        return rows
 
     def iou(self, guess: Guess) -> str:
-        """The intersection over union of a prediction, in words; nothing without a truth."""
-        both = self._scored(guess)
-        return "" if both is None else f"IoU {iou(*both):.3f}"
-
-    def _scored(self, guess: Guess) -> tuple[Mask, Mask] | None:
-        """The truth and a prediction in the voxels that scores count (voxels,); None without a
-        truth."""
-        truth = self.masks.get("occupancy")
-        if truth is None:
-            return None
+        """The intersection over union of a prediction over the voxels that scores count, in words;
+        nothing without a truth."""
+        if (truth := self.masks.get("occupancy")) is None:
+            return ""
         scored = np.ones(truth.shape, bool) if self.scored is None else self.scored
-        return truth[scored], guess.occupied[scored]
+        return f"IoU {iou(truth & scored, guess.occupied & scored):.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on

@@ -35,6 +35,7 @@ RED = rgb(SENSOR)
 MAP = "#1560bd"
 """The colour of a map's box where another one is drawn, too."""
 DPI, PAPER_DPI = 150, 400
+UNREAD = "could not be read"
 MOST_VECTORS = 100
 """Voxels that a file for print holds as shapes; more are drawn as pixels."""
 BESIDE, LINE = 1.15, 0.25
@@ -113,9 +114,9 @@ def put_title(panel: Any, text: str) -> None:
     panel.set_title(text, color=INK, fontsize=10)
 
 
-def put_note(panel: Any, text: str) -> None:
-    """The words in the lower left corner of a panel, which its box leaves free."""
-    panel.text(0.02, 0.02, text, transform=panel.transAxes, color=SOFT, fontsize=8)
+def put_note(panel: Any, text: str, right: float = 0.02, up: float = 0.02) -> None:
+    """Words in a panel, by default in the lower left corner, which its box leaves free."""
+    panel.text(right, up, text, transform=panel.transAxes, color=SOFT, fontsize=8)
 
 
 def put_ball(
@@ -183,7 +184,7 @@ def draw_voxels(
     of `error_colours`. Raises DatasetError for more than a picture can hold.
     """
     if mask is None:
-        say_unread(panel)
+        put_note(panel, UNREAD, 0.35, 0.5)
         return
     corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
     if len(voxels) > MOST_FACES:
@@ -200,11 +201,6 @@ def draw_voxels(
     panel.add_collection(
         PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
     )
-
-
-def say_unread(panel: Any) -> None:
-    """Says in a panel that what belongs there could not be read."""
-    panel.text(0.5, 0.5, "could not be read", transform=panel.transAxes, ha="center", color=SOFT)
 
 
 def frame_box(
@@ -234,19 +230,17 @@ def frame_box(
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
     """Numbers along an edge of each axis, and its name in their middle."""
-    for axis, way in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
-        least, most = low[axis], high[axis]
-        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(least, most)
-        marks = marks[(marks >= least - 1e-9) & (marks <= most + 1e-9)]
-        told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
-        # of the height above its edge, where no number stands
-        middle = ((least + most) / 2, 2.6 * apart) if axis < 2 else (most + 2 * apart, 0)
-        told.append((*middle, f"{'xyz'[axis]} / m", 8))
-        for place, out, text, size in told:
+    outwards = np.array(((0.3, -1), (1, -0.6), (-1.1, 0)))
+    for axis, (first, last) in enumerate(zip(low, high, strict=True)):
+        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(first, last)
+        labels = [(mark, 1, f"{mark:g}") for mark in marks if first <= mark <= last]
+        # the height's above its edge, where no number stands
+        middle = ((first + last) / 2, 2.6) if axis < 2 else (last + 2 * apart, 0)
+        for place, steps, text in [*labels, (*middle, f"{'xyz'[axis]} / m")]:
             point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
             point[axis] = place
-            at = view.project(point) + out * np.array(way)
-            panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
+            at = view.project(point) + steps * apart * outwards[axis]
+            panel.text(*at, text, ha="center", va="center", fontsize=7, color=INK, zorder=8)
 
 
 def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
@@ -320,7 +314,7 @@ class Grid:
         z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
         put_title(panel, f"distances at z = {z:.2f} m" if title is None else title)
         if tudf is None:
-            say_unread(panel)
+            put_note(panel, UNREAD, 0.35, 0.5)
             return
         (left, down, _), (right, up, _) = look.corners
         shades = colour(tudf[:, :, level].T / look.grid.truncation_m, DISTANCES)
@@ -352,14 +346,16 @@ class Grid:
             beside = self.panels.T[:middle] if row == 0 else self.panels.T[middle:]
         add_bar(beside, anchors, (0, most), label)
 
+    def name(self, columns: Sequence[str], rows: Sequence[str]) -> None:
+        """The words above the columns, and left of the rows."""
+        for panel, text in zip(self.panels[0], columns, strict=True):
+            self._name(panel, text, above=not self.turned)
+        for row, text in enumerate(rows):
+            self.name_row(row, text)
+
     def name_row(self, row: int, text: str) -> None:
         """The words left of a row."""
         self._name(self.panels[row, 0], text, above=self.turned)
-
-    def name_columns(self, names: Sequence[str]) -> None:
-        """The words above each column."""
-        for panel, text in zip(self.panels[0], names, strict=True):
-            self._name(panel, text, above=not self.turned)
 
     def _name(self, panel: Any, text: str, *, above: bool) -> None:
         if above:

@@ -76,8 +76,8 @@ def draw_sample(
         draw_panel(panel, look, name, name, ticks=not width)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
-    for n, level in enumerate(levels):
-        grid.level(1, n, look, level, look.tudf)
+    for column, level in enumerate(levels):
+        grid.level(1, column, look, level, look.tudf)
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
     return grid.figure
@@ -97,39 +97,35 @@ def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None)
 def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
     """Draws a turntable as an animated picture: occupied voxels and returns, seen from all sides.
     Raises DatasetError as `draw_voxels`."""
-    turns = [VIEW.azimuth + 2 * math.pi * turn / frames for turn in range(frames)]
-    return _film([(look, View(azimuth=turn), title) for turn in turns], TURN_S / frames, suffix)
+    turns = VIEW.azimuth + np.linspace(0, 2 * math.pi, frames, endpoint=False)
+    pictures = [_frame(look, View(azimuth=float(turn)), title) for turn in turns]
+    return _film(pictures, TURN_S / frames, suffix)
 
 
 def draw_flight(looks: Sequence[Look], *, title: str, suffix: str) -> bytes:
     """Draws the samples of a flight one after the other, as an animated picture. Raises
     DatasetError as `draw_voxels`."""
-    return _film([(look, VIEW, f"{title}, {look.name}") for look in looks], STAY_S, suffix)
+    pictures = [_frame(look, VIEW, f"{title}, {look.name}") for look in looks]
+    return _film(pictures, STAY_S, suffix)
 
 
-def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str) -> bytes:
-    """An animated picture of samples from views, with titles, each shown for a while."""
+def _frame(look: Look, view: View, title: str) -> Any:
+    """A picture of a film, in which a map has the same size however it is turned."""
     from PIL import Image
 
-    pictures = []
-    for look, view, title in frames:
-        low, high = look.corners
-        # half the width of the box on the paper, however it is turned, and half its height there
-        *flat, up = look.grid.extent_m / 2
-        wide = math.hypot(*flat)
-        tall = wide * math.sin(view.elevation) + up * math.cos(view.elevation)
-        reach = 1.03 * max(wide, tall / 0.75)
-        figure = blank(6.4, 4.8, title, MARKS, dpi=TURN_DPI)
-        panel = figure.subplots()
-        _with_returns(panel, look, view, 1.2, "")
-        across, upward = view.project((low + high) / 2)
-        # the same in every picture
-        panel.set(
-            xlim=(across - reach, across + reach),
-            ylim=(upward - 0.75 * reach, upward + 0.75 * reach),
-        )
-        add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
-        pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
+    low, high = look.corners
+    figure = blank(6.4, 4.8, title, MARKS, dpi=TURN_DPI)
+    panel = figure.subplots()
+    _with_returns(panel, look, view, 1.2, "")
+    middle, reach = view.project((low + high) / 2), 1.03 * math.hypot(*look.grid.extent_m) / 2
+    limits = np.array([middle, middle]) + reach * np.array([[-1, -0.75], [1, 0.75]])
+    panel.set(xlim=limits[:, 0], ylim=limits[:, 1])
+    add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
+    return Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
+
+
+def _film(pictures: Sequence[Any], pause_s: float, suffix: str) -> bytes:
+    """An animated picture, each picture of which is shown for a while."""
     file = io.BytesIO()
     pictures[0].save(
         file,
@@ -287,11 +283,12 @@ def see(
     flat = across.reshape(-1, 1) * VIEW.right + upward.reshape(-1, 1) * VIEW.up
     faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])  # of the planes, eyewards
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
-    met = np.flatnonzero(begin > end)
+    met = begin > end
     image = np.ones((len(flat), 3))
-    if len(met):  # a box without height has none
+    if met.any():  # a box without height has none
+        starts = flat[met] + begin[met, None] * VIEW.eye
         reach = float((begin - end)[met].max()) + 1.0
-        image[met] = _shades(world, flat[met] + begin[met, None] * VIEW.eye, reach, low[2], high[2])
+        image[met] = _shades(world, starts, reach, low[2], high[2])
     return image.reshape(*across.shape, 3), (left, right, down, up)
 
 
