@@ -3,6 +3,7 @@
 import base64
 import html
 import importlib.util
+import os
 import sys
 import tempfile
 import webbrowser
@@ -74,7 +75,7 @@ def _draw(look: Look) -> Any:
 
 
 def show(
-    samples: Sample | Sequence[Sample] | str | Path,
+    samples: Sample | Sequence[Sample] | str | os.PathLike[str],
     prediction: Any = None,
     path: Any = None,
     *,
@@ -103,38 +104,44 @@ def show(
             fit the map; a path is not known, or cannot be shown; or `out` is not ours to replace.
         TypeError: The sensor is not known.
     """
-    looks: list[Look] = []
-    if isinstance(samples, str | Path):
-        if not TYPES[what_is(samples)].shows:
-            figure = function_for(samples, "draws")(Path(samples))
-            title = f"<title>{html.escape(str(samples))}</title>"
+    if isinstance(samples, str | os.PathLike):
+        name = os.fspath(samples)
+        if not TYPES[what_is(name)].shows:
+            figure = function_for(name, "draws")(Path(name))
+            title = f"<title>{html.escape(name)}</title>"
             drawn = Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
             return _open(drawn, out)
-        looks = function_for(samples, "shows")(locate(samples))
-        samples = ()
-    for sample in [samples] if isinstance(samples, Sample) else samples:
-        its_grid = grid or sample.grid
-        if its_grid is None:
-            raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
-        name = f"world {sample.world}, viewpoint {sample.viewpoint}"
-        looks.append(look_at(sample, its_grid, lidar, name))
+        looks = function_for(name, "shows")(locate(name))
+    else:
+        several = [samples] if isinstance(samples, Sample) else samples
+        looks = [_look(sample, grid or sample.grid, lidar) for sample in several]
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
-    first = looks[0]
+    looks[0] = _with_guesses(looks[0], prediction, path)
+    notes = [line for look in looks for line in look.missing]
+    content = page(looks, title="scenegen", notes=notes)
+    return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
+
+
+def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:
+    if grid is None:
+        raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
+    return look_at(sample, grid, lidar, f"world {sample.world}, viewpoint {sample.viewpoint}")
+
+
+def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
+    """A sample with what is predicted of it; for the arguments see `show`."""
     predictions: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
         predictions = prediction or {}
     if path is not None and not predictions:
-        predictions = {"truth": first.masks["occupancy"]}
-    if clashing := predictions.keys() & first.masks.keys():  # a name is one layer
+        predictions = {"truth": look.masks["occupancy"]}
+    if clashing := predictions.keys() & look.masks.keys():  # a name is one layer
         raise DatasetError(f"prediction: {', '.join(clashing)}: a sample's own; give another name")
-    guesses = [_guess(name, predicted, first.grid) for name, predicted in predictions.items()]
+    guesses = [_guess(name, predicted, look.grid) for name, predicted in predictions.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
-    looks[0] = replace(first, guesses=(*first.guesses, *guesses))
-    notes = [line for look in looks for line in look.missing]
-    content = page(looks, title="scenegen", notes=notes)
-    return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
+    return replace(look, guesses=(*look.guesses, *guesses))
 
 
 def _open(shown: Shown, out: str | Path | None) -> Shown:
@@ -148,14 +155,14 @@ def _open(shown: Shown, out: str | Path | None) -> Shown:
     return shown
 
 
-def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
+def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
     paper's."""
-    told = hasattr(found, "occupied")
-    parts = [found.occupancy_probability, found.tudf] if told else []
-    if not all(np.isfinite(part).all() for part in parts if part is not None):
+    is_prediction = hasattr(predicted, "occupied")
+    arrays = [predicted.occupancy_probability, predicted.tudf] if is_prediction else []
+    if not all(np.isfinite(array).all() for array in arrays if array is not None):
         raise DatasetError(f"{name}: holds NaN or infinity; expected a number in every voxel")
-    occupied = np.asarray(found.occupied() if told else found)
+    occupied = np.asarray(predicted.occupied() if is_prediction else predicted)
     if occupied.shape != grid.shape or occupied.dtype != bool:
         raise DatasetError(
             f"{name}: an array {occupied.dtype} {occupied.shape}; expected occupied voxels, bool "
@@ -163,7 +170,7 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
         )
     from scenegen.truth import distance_field  # which compiles
 
-    tudf = found.distance(None, grid) if told else distance_field(occupied, grid)
+    tudf = predicted.distance(None, grid) if is_prediction else distance_field(occupied, grid)
     return Guess(name=name, occupied=occupied, tudf=tudf)
 
 
