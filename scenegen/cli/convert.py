@@ -65,13 +65,13 @@ def convert(
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError, plural
 
-    found = open_dataset(dataset, shown=not quiet)
-    target = out or Path(f"{found.folder.absolute().name}-{to.rpartition(':')[2]}")
-    if not found.manifest.complete:
-        note(f"{found.folder}: is incomplete; what is there is converted")
+    source = open_dataset(dataset, shown=not quiet)
+    target = out or Path(f"{source.folder.absolute().name}-{to.rpartition(':')[2]}")
+    if not source.manifest.complete:
+        note(f"{source.folder}: is incomplete; what is there is converted")
     with Progress(to, shown=not quiet) as progress:
         done = write(
-            found,
+            source,
             target,
             to=to,
             choices=Choices(**options),
@@ -84,7 +84,7 @@ def convert(
         note(line)
     if done.broken:
         raise DatasetError(
-            f"{found.folder}: {len(done.broken)} samples could not be read; the others are in "
+            f"{source.folder}: {len(done.broken)} samples could not be read; the others are in "
             f"{target}"
         )
     if not quiet:
@@ -123,12 +123,12 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         from scenegen.source import read_world
         from scenegen.worlds.world import solid
 
-        found = (
+        compiled = (
             read_world(Path(dataset))
             if number is None
             else open_dataset(dataset, shown=True).compile(split, number)
         )
-        write_result(out, encode_world(solid(found, str(dataset))))
+        write_result(out, encode_world(solid(compiled, str(dataset))))
         say(f"written: {out}")
         return
     from scenegen.dataset.archive import DOCUMENT, write_extracted

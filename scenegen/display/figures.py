@@ -104,7 +104,10 @@ def _draw_levels(grid: Grid, row: int, names: Sequence[str], look: Look, before:
     level = at_sensor(look)
     height_m = look.origin[2] + (level + 0.5) * look.grid.voxel_m
     grid.name_row(row, f"{before}z = {height_m:.2f} m")
-    for name, tudf in {"truth": look.tudf, **{one.name: one.tudf for one in look.guesses}}.items():
+    for name, tudf in {
+        "truth": look.tudf,
+        **{guess.name: guess.tudf for guess in look.guesses},
+    }.items():
         grid.level(row, names.index(name), look, level, tudf, "")
 
 

@@ -121,7 +121,9 @@ def _sources(manifest: Manifest) -> list[Json]:
             "digest": source.digest,
             **{name: str(part) for name, part in sensing._asdict().items() if name in differ},
             "taken": entry["taken"],
-            "samples": _counts(one for one in manifest.shards if manifest.home(one) is source),
+            "samples": _counts(
+                shard for shard in manifest.shards if manifest.home(shard) is source
+            ),
         }
         for source, sensing, entry in zip(manifest.sources, manifest.settings, entries, strict=True)
     ]
@@ -154,14 +156,14 @@ def _measure(dataset: Dataset, task: tuple[str, int, int]) -> tuple[str, int, li
 
 def _statistics(table: Floats) -> Json:
     """How the `MEASURES` of samples (samples, measures) spread."""
-    found: Json = {}
+    statistics: Json = {}
     for name, column in zip(MEASURES, table.T, strict=True):
         values = column[~np.isnan(column)]
-        found[name] = {
+        statistics[name] = {
             how: float(getattr(values, how)()) if len(values) else None
             for how in ("mean", "std", "min", "max")
         }
-    return found
+    return statistics
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
@@ -186,7 +188,7 @@ def _counts(shards: Iterable[Entry]) -> dict[str, int]:
 def inspect_all(folder: Path) -> list[Json]:
     """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
     digest, or its `fault`."""
-    found = []
+    rows = []
     for path in sorted(folder.glob(f"*/{NAME}")):
         row: Json = {"folder": str(path.parent)}
         try:
@@ -199,8 +201,8 @@ def inspect_all(folder: Path) -> list[Json]:
             }
         except DatasetError as error:
             row["fault"] = printable(error)
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 def inspect_world(path: Path) -> Json:
@@ -243,17 +245,17 @@ def scan_facts(path: Path, columns: int | None = None) -> Json:
     cloud = read_cloud(path, columns=columns)
     points = cloud.points
     returned = points[np.isfinite(points).all(axis=1)]
-    found = {"scan": str(path), "read": cloud.layout, "points": len(points)}
-    found |= {"returns": len(returned), "at_origin": int((~returned.any(axis=1)).sum())}
+    facts = {"scan": str(path), "read": cloud.layout, "points": len(points)}
+    facts |= {"returns": len(returned), "at_origin": int((~returned.any(axis=1)).sum())}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
-        found |= {
+        facts |= {
             "lower_m": returned.min(axis=0).tolist(),
             "upper_m": returned.max(axis=0).tolist(),
             "mean_range_m": float(ranges.mean()),
             "max_range_m": float(ranges.max()),
         }
-    return found
+    return facts
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:

@@ -221,18 +221,18 @@ def looks(
     Raises:
         DatasetError: The split has no such index, or none of the samples can be read.
     """
-    samples, found, notes = dataset.split(split), [], incomplete(dataset, split)
+    samples, shown, notes = dataset.split(split), [], incomplete(dataset, split)
     for index in indices:
         try:
-            found.append(look_into(samples, index, guesses))
+            shown.append(look_into(samples, index, guesses))
         except IndexError as error:
             raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
         except DatasetError as error:
             notes.append(str(error))
-    notes += [line for look in found for line in look.missing]
-    if not found:
+    notes += [line for look in shown for line in look.missing]
+    if not shown:
         raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
-    return found, notes
+    return shown, notes
 
 
 def looks_of_dataset(folder: Path, most: int = 24) -> list[Look]:

@@ -245,7 +245,7 @@ def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> Non
 
 def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
     """A colour bar beside some panels of a figure."""
-    shades = LinearSegmentedColormap.from_list("", [rgb(one) for one in anchors])
+    shades = LinearSegmentedColormap.from_list("", [rgb(anchor) for anchor in anchors])
     values = ScalarMappable(Normalize(*ends), shades)
     panels = np.atleast_1d(panels).ravel().tolist()
     bar = panels[0].figure.colorbar(values, ax=panels, shrink=0.7, aspect=25)

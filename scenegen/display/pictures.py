@@ -300,12 +300,12 @@ def _shades(world: "World", starts: Floats, reach: float, low: float, high: floa
     away = np.broadcast_to(-VIEW.eye, (len(starts), 1, 3)).copy()
     hits = AnalyticEngine.of(world.model, world.data).hits(starts, away, reach)
     seen = hits.geoms[:, 0] >= 0
-    points, normals, geoms = (found[seen, 0] for found in (hits.points, hits.normals, hits.geoms))
+    points, normals, geoms = (part[seen, 0] for part in (hits.points, hits.normals, hits.geoms))
     shades = colour((points[:, 2] - low) / max(high - low, 1e-9), HEIGHTS)
     planes = world.solids.geom[: len(world.solids.shape)][world.solids.shape == PLANE]
     shades[np.isin(geoms, planes)] = PLAIN
     shades *= 0.62 + 0.38 * np.abs(normals @ SUN)[:, None]
     shades[normals @ VIEW.eye < 0] = CUT  # the ray began inside
-    found = np.ones((len(starts), 3))
-    found[seen] = shades
-    return found
+    image = np.ones((len(starts), 3))
+    image[seen] = shades
+    return image

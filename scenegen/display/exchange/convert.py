@@ -124,7 +124,7 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, in
             there += len(numbers)
             continue
         sensor = samples.home(numbers[0]).lidar
-        found, lines = list[tuple[int, Sample]](), list[str]()
+        chosen, lines = list[tuple[int, Sample]](), list[str]()
         for number in numbers:
             try:
                 sample = samples[number]
@@ -133,14 +133,14 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, in
                     copy(sample)  # reads every field, so that none fails among those of others
                 else:
                     contents = form.encode(sample, dataset.grid, sensor)
-                found.append((number, sample))
+                chosen.append((number, sample))
             except (DatasetError, ValueError) as error:
                 lines.append(f"{rows.split} {number} is left out: {printable(error)}")
         broken += lines
-        if not found:
+        if not chosen:
             continue
         if together:
-            contents = form.encode(found, dataset.grid, sensor)
+            contents = form.encode(chosen, dataset.grid, sensor)
         several = (contents,) if isinstance(contents, bytes) else contents
         files = dict(zip(paths, several, strict=True))
         if lines:  # before the others, so that the next run makes them again
