@@ -26,7 +26,7 @@ from scenegen.files import claim, real_path, write_result
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
-from scenegen.paths import is_log, is_map
+from scenegen.paths import check_type, type_of
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
@@ -118,7 +118,6 @@ def complete(
     processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
-    from scenegen.dataset.manifest import NAME
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import (
         predict_scan,
@@ -132,12 +131,14 @@ def complete(
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, shown=not quiet)
-    stored = (path / NAME).exists()
+    check_type(path, "dataset", "log", "scans", "map", "scan")
+    name = type_of(path)
+    stored = name == "dataset"
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    logged = not stored and (is_log(path) or log_reading["poses"] is not None)
+    logged = not stored and (name == "log" or log_reading["poses"] is not None)
     if not logged and (given := [name for name, value in log_reading.items() if value]):
         raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
@@ -146,9 +147,9 @@ def complete(
     if tasks and tasks[2] and not quiet:
         note(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
-    if tasks or is_map(path):
-        name = path.stem if path.is_file() else real_path(path).name
-        out = out or Path(f"{name}.completed")
+    if tasks or name == "map":
+        stem = path.stem if path.is_file() else real_path(path).name
+        out = out or Path(f"{stem}.completed")
         if tasks:
             options = {"sensor": sensor, "columns": columns, **log_reading}
             about = {name: str(value) for name, value in options.items() if value is not None}

@@ -81,7 +81,7 @@ def view(
     **shown: Any,
 ) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
-    some of it."""
+    some of it, or the completion of a scan (.h5)."""
     if out is not None and (odd := flags_given(("host", "port"))):
         raise click.UsageError(f"{odd[0]}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
@@ -94,12 +94,14 @@ def view(
 
         looks = function_for(dataset, "shows")(Path(dataset))
         write_result(out, page(looks, title=str(dataset)).encode())
+        if not quiet:
+            say(f"{out}: open it in a browser")
         return
     paths: list[Path | str] = [dataset]
     if name == "datasets" and out is None:
         paths = [manifest.parent for manifest in sorted(Path(dataset).glob("*/dataset.json"))]
-        if shown["predictions"] is not None:
-            raise click.UsageError("--predictions: is of one dataset; name that one")
+    if len(paths) > 1 and shown["predictions"] is not None:
+        raise click.UsageError("--predictions: is of one dataset; name that one")
     opened = [open_dataset(path, shown=not quiet) for path in paths]
     guesses, methods = chosen(opened[0], split, **shown)
     if out is not None:
@@ -108,20 +110,18 @@ def view(
     from scenegen.display.live import Live
     from scenegen.display.look import incomplete
 
-    there, index = len(opened[0].split(split)), indices[0] if indices else 0
-    if index >= max(there, 1):
-        raise click.UsageError(f"--index {index}: its {split} split has {there} samples")
-    for one in opened:
-        for line in incomplete(one, split):
-            note(f"{one.folder}: {line}")
+    samples, index = len(opened[0].split(split)), indices[0] if indices else 0
+    if index >= max(samples, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {samples} samples")
+    for each in opened:
+        for line in incomplete(each, split):
+            note(f"{each.folder}: {line}")
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
     with server, stops.noted() as stopped:
-        say(
-            f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; "
-            "Ctrl-C ends it"
-        )
+        folders = ", ".join(str(each.folder) for each in opened)
+        say(f"{server.address}  shows {folders}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
             say(
