@@ -242,7 +242,7 @@ def function_for(path: str | PurePath, verb: Literal["opens", "facts", "draws", 
     of no type, or of one without such a function."""
     name = what_is(path)
     functions = {other: place for other in TYPES if (place := getattr(TYPES[other], verb))}
-    check_type(path, *functions)
+    check_type(path, *dict.fromkeys(("dataset", *functions)))  # which all commands take
     return Registry("type of path", functions).find(name)
 
 

@@ -32,6 +32,7 @@ from scenegen.display.panels import (
     draw_panel,
     draw_voxels,
     frame_box,
+    height_of,
     line,
     plain,
     put_ball,
@@ -42,10 +43,8 @@ from scenegen.errors import DatasetError
 
 STEEP = View(elevation=math.radians(50))
 """From higher above, so that fewer things hide a path."""
-STYLES = {"tudf": (0, (6, 1.5)), "occ": (0, (2, 1.2)), "proposed": "-"}
-"""Dashes of paths by the names of the paper's networks, for readers who cannot tell the colours
-apart."""
-OTHER_STYLES: tuple[Any, ...] = ((0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+DASHES: tuple[Any, ...] = ((0, (6, 1.5)), (0, (2, 1.2)), "-", (0, (8, 1.5, 1.5, 1.5)))
+"""Of paths, in turn, for readers who cannot tell the colours apart."""
 
 
 def draw_completions(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -102,13 +101,12 @@ def _draw_levels(grid: Grid, row: int, names: Sequence[str], look: Look, before:
     """Draws the true distances at the sensor's height, and each method's, in the columns of their
     names; the row's name is `before` and that height."""
     level = at_sensor(look)
-    height_m = look.origin[2] + (level + 0.5) * look.grid.voxel_m
-    grid.name_row(row, f"{before}z = {height_m:.2f} m")
+    grid.name_row(row, f"{before}z = {height_of(look, level):.2f} m")
     for name, tudf in {
         "truth": look.tudf,
         **{guess.name: guess.tudf for guess in look.guesses},
     }.items():
-        grid.level(row, names.index(name), look, level, tudf, "")
+        grid.level(row, names.index(name), look, level, tudf)
 
 
 def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -210,8 +208,5 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
 
 def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and dashes of each method's path."""
-    dashes = itertools.cycle(OTHER_STYLES)
-    return {
-        name: {"color": rgb(shade), "linestyle": STYLES.get(name) or next(dashes)}
-        for name, shade in zip(names, path_colours(names), strict=True)
-    }
+    styles = zip(names, path_colours(names), itertools.cycle(DASHES), strict=False)
+    return {name: {"color": rgb(shade), "linestyle": dashes} for name, shade, dashes in styles}

@@ -220,27 +220,22 @@ def frame_box(
     corners = np.concatenate([hidden, front]).reshape(-1, 2)
     span = np.ptp(corners, axis=0).max()
     if ticks:
-        _put_ticks(panel, low, high, 0.035 * span, view)
-    room = 0.12 * span if ticks else 0.03 * span
+        _put_axes(panel, low, high, 0.1 * span, view)
+    room = 0.16 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
     panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
     panel.set(xticks=[], yticks=[], frame_on=False)
 
 
-def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
-    """Numbers along an edge of each axis, and its name in their middle."""
-    outwards = np.array(((0.3, -1), (1, -0.6), (-1.1, 0)))
-    for axis, (first, last) in enumerate(zip(low, high, strict=True)):
-        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(first, last)
-        labels = [(mark, 1, f"{mark:g}") for mark in marks if first <= mark <= last]
-        # the height's above its edge, where no number stands
-        middle = ((first + last) / 2, 2.6) if axis < 2 else (last + 2 * apart, 0)
-        for place, steps, text in [*labels, (*middle, f"{'xyz'[axis]} / m")]:
-            point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
-            point[axis] = place
-            at = view.project(point) + steps * apart * outwards[axis]
-            panel.text(*at, text, ha="center", va="center", fontsize=7, color=INK, zorder=8)
+def _put_axes(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
+    """The name and the ends of each axis, metres, at the middle of an edge."""
+    for axis, outwards in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
+        point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
+        point[axis] = (low[axis] + high[axis]) / 2
+        text = f"{'xyz'[axis]} / m\n{low[axis]:.1f} … {high[axis]:.1f}"
+        at = view.project(point) + apart * np.array(outwards)
+        panel.text(*at, text, ha="center", va="center", fontsize=7, color=INK, zorder=8)
 
 
 def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
@@ -306,13 +301,13 @@ class Grid:
             self.panels = self.panels.T
 
     def level(
-        self, row: int, column: int, look: Look, level: int, tudf: Any, title: str | None = None
+        self, row: int, column: int, look: Look, level: int, tudf: Any, title: str = ""
     ) -> None:
         """Draws one level of distances `tudf` (X, Y, Z) in a panel, x right and y up, in metres of
         the world."""
         panel = self.panels[row, column]
-        z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
-        put_title(panel, f"distances at z = {z:.2f} m" if title is None else title)
+        z = height_of(look, level)
+        put_title(panel, title)
         if tudf is None:
             put_note(panel, UNREAD, 0.35, 0.5)
             return
@@ -368,3 +363,8 @@ def at_sensor(look: Look) -> int:
     """The level of voxels just below the sensor."""
     height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
     return int(np.clip(height, 0, look.grid.shape[2] - 1))
+
+
+def height_of(look: Look, level: int) -> float:
+    """The height of the middle of a level of voxels in the world, metres."""
+    return float(look.origin[2] + (level + 0.5) * look.grid.voxel_m)

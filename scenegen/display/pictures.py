@@ -27,6 +27,7 @@ from scenegen.display.panels import (
     blank,
     draw_panel,
     frame_box,
+    height_of,
     line,
     plain,
     put_ball,
@@ -51,8 +52,6 @@ PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
-DOTS = {"cmap": "viridis", "linewidths": 0, "antialiased": False}
-"""How the rays of a pattern look."""
 CUT, PLAIN = 0.3, 0.88
 """Greys of solids where the picture cuts through them, and of planes."""
 
@@ -77,7 +76,8 @@ def draw_sample(
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for column, level in enumerate(levels):
-        grid.level(1, column, look, level, look.tudf)
+        title = f"distances at z = {height_of(look, level):.2f} m"
+        grid.level(1, column, look, level, look.tudf, title)
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
     return grid.figure
@@ -193,12 +193,11 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     dark for the first to light for the last in time. Degrees; azimuth grows to the left, as for the
     body."""
     angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
-    talls = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) for up, around in angles]
-    height = sum(talls) + 0.7 * len(talls)
-    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
-    panels = figure.subplots(len(talls), squeeze=False, height_ratios=talls)[:, 0]
+    heights = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) + 0.7 for up, around in angles]
+    figure = Figure(figsize=(6.4, sum(heights)), dpi=100, layout="constrained")
+    panels = figure.subplots(len(heights), squeeze=False, height_ratios=heights)[:, 0]
     for panel, (name, sensor), (up, around) in zip(panels, sensors.items(), angles, strict=True):
-        panel.scatter(around, up, s=1, c=sensor.times_s.reshape(-1), **DOTS)
+        panel.scatter(around, up, s=1, c=sensor.times_s.ravel(), cmap="viridis", linewidths=0)
         panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=plain(name))
         panel.invert_xaxis()
         panel.grid(alpha=0.4)
