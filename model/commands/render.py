@@ -168,7 +168,7 @@ def _draw_samples(
 ) -> tuple[Any, list[str]]:
     """The picture of a dataset's samples, and a line for each thing that could not be read."""
     from scenegen.display.figures import FIGURES as DRAWN
-    from scenegen.display.look import looks, spread, title_of
+    from scenegen.display.look import evenly, looks, title_of
     from scenegen.display.panels import plain
     from scenegen.display.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
@@ -176,7 +176,7 @@ def _draw_samples(
     bare = figure in ("sample", "world") or film
     guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
-    numbers = indices or (spread(dataset, split, count) if count else (0,))
+    numbers = indices or (evenly(len(dataset.split(split)), count) if count else (0,))
     if film == "flight":
         numbers = _same_world(dataset, split, numbers[0])
     looked, notes = looks(dataset, split, numbers, guesses)

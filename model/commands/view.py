@@ -143,11 +143,11 @@ def write_page(
 ) -> None:
     """Write a page that holds what it shows: samples of a split by `indices`, else `count` of them,
     evenly spread."""
-    from scenegen.display.look import looks, spread, title_of
+    from scenegen.display.look import evenly, looks, title_of
     from scenegen.display.page import check_grid, page
 
     check_grid(found.grid)
-    shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
+    shown, notes = looks(found, split, indices or evenly(len(found.split(split)), count), guesses)
     title = f"{title_of(found)}, {split}"
     content = page(shown, title=title, notes=notes)
     write_result(out, content.encode())

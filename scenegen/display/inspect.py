@@ -25,7 +25,7 @@ from scenegen.dataset.choose import (
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry, Manifest, load
-from scenegen.display.look import spread
+from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
 from scenegen.run import Counted, unheard
@@ -86,7 +86,7 @@ def inspect(
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
-        chosen = spread(dataset, split.name, (not keep and most) or len(split))
+        chosen = evenly(len(split), (not keep and most) or len(split))
         tables[split.name] = np.empty((len(chosen), len(MEASURES)))
         tasks += [(split.name, *row) for row in enumerate(chosen)]
     begun = partial(on_start, len(tasks))
@@ -168,7 +168,7 @@ def _statistics(table: Floats) -> Json:
 
 def _by_kind(split: Split, table: Floats) -> Json:
     """For each kind, how many samples were measured, and how their measures spread."""
-    chosen = spread(split.dataset, split.name, len(table))
+    chosen = evenly(len(split), len(table))
     rows = {kind: table[np.isin(chosen, numbers)] for kind, numbers in split.by_kind().items()}
     return {
         kind: {"sampled": len(measured), "statistics": _statistics(measured)}

@@ -240,7 +240,7 @@ def looks_of_dataset(folder: Path, most: int = 24) -> list[Look]:
     DatasetError."""
     dataset = Dataset(folder, partial=True)
     split = next((name for name in SPLITS if len(dataset.split(name))), SPLITS[0])
-    return looks(dataset, split, spread(dataset, split, most))[0]
+    return looks(dataset, split, evenly(len(dataset.split(split)), most))[0]
 
 
 def title_of(dataset: Dataset) -> str:
@@ -255,11 +255,6 @@ def incomplete(dataset: Dataset, split: str) -> list[str]:
         return []
     count = len(dataset.split(split))
     return [f"the dataset is incomplete: {count} samples of its {split} split are there"]
-
-
-def spread(dataset: Dataset, split: str, most: int) -> list[int]:
-    """Indices of at most `most` samples of a split, evenly spread."""
-    return evenly(len(dataset.split(split)), most)
 
 
 def evenly(count: int, most: int) -> list[int]:
