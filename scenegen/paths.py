@@ -26,7 +26,7 @@ MESHES = (".obj", ".glb", ".stl")
 """Endings of meshes, which are worlds of their own."""
 SCANS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".npy", ".npz", ".bin")
 """Endings of point clouds; `scenegen.clouds.READERS` reads them."""
-CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".npy", ".yaml")
+CLOUDS = (*SCANS[:-2], ".yaml")
 """Endings of clouds, and of ROS's plans, from which maps are made where a world is expected; an
 .npz file is taken for a map there."""
 WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)

@@ -220,8 +220,8 @@ def frame_box(
     corners = np.concatenate([hidden, front]).reshape(-1, 2)
     span = np.ptp(corners, axis=0).max()
     if ticks:
-        _put_axes(panel, low, high, 0.1 * span, view)
-    room = 0.16 * span if ticks else 0.03 * span
+        _put_axes(panel, low, high, 0.09 * span, view)
+    room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
     panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
