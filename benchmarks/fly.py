@@ -23,12 +23,11 @@ from scoring import RESULTS, publish, titled, told
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats
-from scenegen.cli.show import silent
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.robots import FORGETFUL, NAMES
-from scenegen.model.robots.flights import counted, fly_course, fly_courses
+from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 from scenegen.recipes import kind_names
 from scenegen.run.workers import ALONE
 from scenegen.truth.difficulty import Difficulty
@@ -113,7 +112,7 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
     entries.mkdir(parents=True, exist_ok=True)
     entry = entries / f"{title}.json"
     work = partial(fly_course, robot=robot, weights=weights)
-    crew = partial(counted, ALONE, silent)
+    crew = crew_of(ALONE)
     done = fly_courses(courses, work, name, "aerial-1", entry, crew)
     flights = [one for _, several in done for one in several]
     print(f"{name}: {len(flights)} flights", flush=True)

@@ -105,14 +105,14 @@ def __getattr__(name: str) -> Any:
     for module, names in _MODULES.items():
         if name in names.split():
             try:
-                found = getattr(import_module(module), name)
+                value = getattr(import_module(module), name)
             except ModuleNotFoundError as error:
-                if said := lacking(error):
-                    text = f"scenegen.{name} {said}"
+                if advice := lacking(error):
+                    text = f"scenegen.{name} {advice}"
                     raise ModuleNotFoundError(text, name=error.name) from None
                 raise
-            globals()[name] = found
-            return found
+            globals()[name] = value
+            return value
     raise AttributeError(f"module 'scenegen' has no attribute {name!r}")
 
 

@@ -20,9 +20,9 @@ from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, plural, printable, raised_as
 from scenegen.files import Json, real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
+from scenegen.paths import CLOUDS, MAPS, MESHES
 from scenegen.recipe import Acceptance, Recipe, preset
 from scenegen.run.workers import Limited, run
-from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.classes import By
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known

@@ -84,6 +84,20 @@ def test_a_part_imports_none_above_it():
     assert wrong == set()
 
 
+def test_the_library_does_not_import_the_command_line():
+    """Only commands take options and print; they give the library callbacks, not the reverse."""
+    commands = ("cli", "commands")
+    wrong = {
+        (str(path), name)
+        for part in NAMES
+        for path in files_of(part)
+        if path.relative_to(ORDER[part][0]).parts[0] not in commands
+        for name in imported(path)
+        if re.match(r"scenegen\.(cli|model\.commands)\b", name)
+    }
+    assert wrong == set()
+
+
 def rooms_of(part):
     """Every room of a package, a file or a folder at its top, with the rooms that it imports."""
     place, prefix = ORDER[part][0], f"{NAMES[part]}."

@@ -4,7 +4,6 @@ import json
 import shlex
 import sys
 from contextlib import suppress
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -112,8 +111,15 @@ def bench(
     for dataset, method in product(measured if talk else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             note(f"note: {dataset.name}: {warning}")
-    progress = partial(Progress, shown=talk)
-    results = bench_all(measured, methods, config, execute=execute, progress=progress)
+    with Progress("bench", shown=talk) as progress:
+        results = bench_all(
+            measured,
+            methods,
+            config,
+            execute=execute,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
     command = shlex.join(["scenegen", *sys.argv[1:]])
     told = {"command": command, "commit": commit(), "split": config.split}
     report = build_report(results, seed=config.seed, about=told)

@@ -1,7 +1,7 @@
 """`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, of a
 log, or of what a sensor sees in a map."""
 
-from functools import partial
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,19 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import DatasetPath, Number, OutputFile
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, DiskError, printable
+from scenegen.files import claim, real_path, write_result
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
+from scenegen.paths import DATA, check_type, type_of
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
+    from scenegen.dataset.opening import open_data
     from scenegen.dataset.read import AnyDataset
     from scenegen.model.completion.completer import Completer
+    from scenegen.model.completion.scans import Task
 
 COMPLETIONS = "completions.json"
 """The file of a folder of completions that says of which scans they are, and whose."""
@@ -116,46 +120,44 @@ def complete(
     processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
-    from scenegen.dataset.opening import COLLECTION, open_data
-    from scenegen.dataset.schema import NAME
-    from scenegen.files import claim, real_path
-    from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import (
-        complete_all,
         predict_scan,
         read_line,
         read_scan,
         tasks_of,
     )
     from scenegen.model.training.device import choose_device
-    from scenegen.worlds import is_map
 
     elsewhere = was_given("on") or was_given("workers")
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, shown=not quiet)
-    stored = (path / NAME).exists() or (path / COLLECTION).exists() or path.suffix == ".json"
+    check_type(path, *DATA, "log", "scans", "map", "scan")
+    name = type_of(path)
+    stored = name in DATA
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    logged = not stored and (is_log(path) or log_reading["poses"] is not None)
+    logged = not stored and (name == "log" or log_reading["poses"] is not None)
     if not logged and (given := [name for name, value in log_reading.items() if value]):
         raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
     # which may refuse what is there at once
-    tasks = tasks_of(path, sensor, every, columns, quiet, **log_reading) if several else None
+    tasks = tasks_of(path, sensor, every, columns, **log_reading) if several else None
+    if tasks and tasks[2] and not quiet:
+        note(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
-    if tasks or is_map(path):
-        name = path.stem if path.is_file() else real_path(path).name
-        out = out or Path(f"{name}.completed")
+    if tasks or name == "map":
+        stem = path.stem if path.is_file() else real_path(path).name
+        out = out or Path(f"{stem}.completed")
         if tasks:
             options = {"sensor": sensor, "columns": columns, **log_reading}
             about = {name: str(value) for name, value in options.items() if value is not None}
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
-            complete_all(completer, tasks, out, MOST_SHOWN, quiet)
+            complete_scans(completer, tasks[0], tasks[1], out, quiet)
         else:
             _complete_map(completer, path, count, out, quiet)
         return
@@ -187,8 +189,16 @@ def _complete_split(
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
-    progress = partial(Progress, shown=not quiet)
-    away = predict_split(completer, dataset, split, out, execute=execute, progress=progress)
+    with Progress("complete", shown=not quiet) as progress:
+        away = predict_split(
+            completer,
+            dataset,
+            split,
+            out,
+            execute=execute,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
     for warning in () if quiet else completer.unlike(dataset.settings):
         note(f"note: {warning}")
     far = sum(one >= UNUSUAL for one in away)
@@ -198,6 +208,52 @@ def _complete_split(
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
             f"on, so expect worse completions"
         )
+
+
+def complete_scans(
+    completer: "Completer", count: int, scans: "Iterable[Task]", out: Path, quiet: bool
+) -> None:
+    """Complete `count` scans into files of their names in the folder `out`, and write a page of
+    some.
+
+    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
+    end where some could not be completed.
+    """
+    from scenegen.display.look import evenly
+    from scenegen.display.page import page
+    from scenegen.model.completion.scans import predict_scan, read_completion, read_line, summary
+
+    done, there, broken = [], [], 0
+    with Progress("complete", shown=not quiet) as progress:
+        progress.start(count)
+        for name, read in scans:
+            target = out / f"{name}.h5"
+            if not target.exists():
+                try:
+                    done.append(predict_scan(completer, read(), target))
+                except DiskError:
+                    raise
+                except DatasetError as error:
+                    broken += 1
+                    note(printable(error))
+            if target.exists():
+                there.append(target)
+            progress.count(1)
+    if there:
+        looks = [read_completion(there[n]) for n in evenly(len(there), MOST_SHOWN)]
+        known = any("occupancy" in look.masks for look in looks)
+        notes = ["Where the log knows nothing, predictions are not shown."] * known
+        write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
+    if broken:
+        raise DatasetError(
+            f"{out}: {broken} of {count} scans could not be completed; the others are there"
+        )
+    if not quiet and done:
+        note(read_line(done))
+    if not quiet:
+        for line in summary(done):
+            note(f"note: {line}")
+        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")
 
 
 def _complete_map(completer: "Completer", place: Path, count: int, out: Path, quiet: bool) -> None:

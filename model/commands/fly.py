@@ -200,7 +200,7 @@ def fly(
     from scenegen.model.robots.flights import (
         ANEW,
         check_begins,
-        counted,
+        crew_of,
         flown_again,
         fly_course,
         fly_courses,
@@ -220,12 +220,13 @@ def fly(
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     check_together(execute, "a row of flights takes")
-    crew = partial(counted, execute, partial(Progress, shown=talk))
     notes, unlike = dict[str, str](), list["Flown"]()
     pilot = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
     if recorded is not None:
         anew = fly_one if is_given else None
-        name, by_course, notes, unlike = flown_again(recorded, hidden, maps, anew, crew)
+        with Progress("replay", shown=talk) as progress:
+            crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+            name, by_course, notes, unlike = flown_again(recorded, hidden, maps, anew, crew)
     else:
         name = pilot
         if suite is None:
@@ -238,14 +239,16 @@ def fly(
         if picture is not None:
             solid(first.drawn, first.world)
         about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
-        by_course = fly_courses(courses, fly_one, name, suite, out, crew, **about)
+        with Progress("fly", shown=talk) as progress:
+            crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+            by_course = fly_courses(courses, fly_one, name, suite, out, crew, **about)
     if picture or film or log:
         course, flown = by_course[0]
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     all_flights = [flight for _, flown in by_course for flight in flown]
     row = summary(name, all_flights) | notes
-    if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew)}):
+    if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew_of(execute))}):
         show_table(row)
         for end in sorted({flight.trouble for flight in [*all_flights, *unlike]} - {""}):
             say(f"robot: {end}")

@@ -24,7 +24,7 @@ from scenegen.cli.show import (
     show_table,
 )
 from scenegen.files import Json
-from scenegen.worlds import MESHES, is_map
+from scenegen.paths import function_for, type_of
 from scenegen.worlds.mapping import Mapper
 
 
@@ -60,19 +60,20 @@ def inspect(
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
     predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
-    from scenegen.dataset.opening import COLLECTION
-    from scenegen.dataset.schema import NAME
-    from scenegen.display.inspect import MOST_MEASURED, inspect_all, misfits
+    from scenegen.display.inspect import MOST_MEASURED, misfits
     from scenegen.display.inspect import inspect as examine
     from scenegen.model.config import NetworkConfig
 
-    path = Path(dataset)
-    is_collection = (path / COLLECTION).exists()
-    if not is_collection and not (path / NAME).exists() and any(path.glob(f"*/{NAME}")):
-        _show_all(inspect_all(path), as_json)
-        return
-    if facts := _facts(path, columns):
-        print(json.dumps(facts)) if as_json else show_table(plain(facts))
+    name = type_of(dataset)
+    if name not in (None, "dataset", "collection", "selection"):
+        given = {"columns": columns} if name == "scan" else {}
+        facts = function_for(dataset, "facts")(Path(dataset), **given)
+        if as_json:
+            print(json.dumps(facts))
+        elif name == "datasets":
+            _show_all(facts)
+        else:
+            show_table(plain(facts))
         return
     opened = open_dataset(dataset, shown=not as_json)
     with Progress("inspect", shown=(every or keep) and not as_json) as progress:
@@ -98,35 +99,8 @@ def inspect(
         note(f"note: {line}")
 
 
-def _facts(path: Path, columns: int | None) -> Json | None:
-    """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
-    from scenegen.clouds import READERS
-    from scenegen.display.inspect import inspect_world, scan_facts
-    from scenegen.model.config import PREDICTIONS
-
-    if (path / PREDICTIONS).is_file():
-        path = min(path.glob("*.h5"), default=path)
-    if path.suffix in (".xml", *MESHES) or is_map(path):
-        return inspect_world(path)
-    if path.suffix.lower() in READERS:
-        return scan_facts(path, columns)
-    # what these import loads torch
-    if path.suffix == ".h5":
-        from scenegen.model.completion.predictions import prediction_facts
-
-        return prediction_facts(path)
-    if (path / "metrics.csv").is_file():
-        from scenegen.model.training.run_folder import run_facts
-
-        return run_facts(path)
-    return None
-
-
-def _show_all(rows: list[Json], as_json: bool) -> None:
+def _show_all(rows: list[Json]) -> None:
     """Prints a line for each dataset."""
-    if as_json:
-        print(json.dumps(rows))
-        return
     for row in rows:
         told = row.get("fault")
         if not told:

@@ -1,7 +1,6 @@
 """`scenegen export` and `calibrate`: networks as ONNX, and how sure one may be."""
 
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,13 +77,11 @@ def calibrate(
     make_parent(out)
     if talk:
         announce_compilation()
-    found = fit(
-        weights,
-        find_datasets(datasets, shown=talk),
-        out,
-        **options,
-        progress=partial(Progress, shown=talk),
-    )
+    folders = find_datasets(datasets, shown=talk)
+    with Progress("calibrate", shown=talk) as progress:
+        found = fit(
+            weights, folders, out, **options, on_start=progress.start, on_done=progress.count
+        )
     if tell(asdict(found)):
         say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
         say(f"written: {out}")

@@ -1,6 +1,5 @@
 """`scenegen render`: pictures of what there is: samples, predictions, worlds, scans, runs."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ from scenegen.cli.show import note, say
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
 from scenegen.errors import short
 from scenegen.model.commands.weights import chosen, shown_options
-from scenegen.worlds import MESHES
+from scenegen.paths import function_for, type_of
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
@@ -110,7 +109,8 @@ def render(
 
     Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.
     """
-    is_world = isinstance(source, Path) and source.suffix in (".xml", *MESHES)
+    name = type_of(source)
+    is_world = name in ("world", "mesh")
     film = "turn" if options.pop("turn") else "flight" if flight and not is_world else ""
     suffixes = FILMS if film else SUFFIXES
     out = out or Path("sample.webp" if film else "sample.png")
@@ -128,15 +128,21 @@ def render(
     from scenegen.files import write_result
 
     notes: list[str] = []
-    figure = None
-    if isinstance(source, Path):
-        figure = _draw_file(source, seed if flight else None, columns, quiet)
-    if figure and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
-        raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
-    if figure is None:
+    if name in (None, "dataset"):
         figure, notes = _draw_samples(
             source, shown=not quiet, film=film, suffix=out.suffix, **options
         )
+    else:
+        if (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
+            raise click.UsageError(
+                "--paper: only samples fit into less than 140 mm; give two, or more"
+            )
+        given: dict[str, Any] = {}
+        if is_world:
+            given = {"seed": seed if flight else None}
+        elif name == "scan":
+            given = {"columns": columns} | ({} if quiet else {"report": note})
+        figure = function_for(source, "draws")(Path(source), **given)
     if options["paper"]:
         for_paper(figure, options["paper"], font_size)
     content = figure if isinstance(figure, bytes) else to_bytes(figure, out.suffix)
@@ -145,52 +151,6 @@ def render(
         note(line)
     if not quiet:
         say(f"{out}: {len(content) / 1e3:.0f} KB")
-
-
-def _draw_file(path: Path, seed: int | None, columns: int | None, quiet: bool) -> Any:
-    """The figure of a world, a scan, a completion of one, or a run; None for anything else."""
-    from scenegen.clouds import READERS, ReadReport, read_cloud
-    from scenegen.display import pictures
-    from scenegen.display.panels import plain
-
-    title = plain(path.name)
-    if path.suffix in (".xml", *MESHES):
-        return _draw_world(path, seed, title)
-    if path.suffix.lower() in READERS:
-        cloud, report = read_cloud(path, columns=columns), ReadReport()
-        report.add(len(cloud.points), cloud.layout, 0)
-        if not quiet:
-            note(report)
-        return pictures.draw_cloud(cloud.points, title=title)
-    if path.suffix == ".h5":
-        from scenegen.model.completion.scans import read_completion
-
-        look = read_completion(path)
-        (guess,) = look.guesses
-        masks = {**look.masks, "predicted": guess.occupied}
-        panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
-        look = replace(look, masks=masks, tudf=guess.tudf)
-        return pictures.draw_sample(look, title=title, panels=panels)
-    if (path / "metrics.csv").is_file():
-        from scenegen.model.training.card import draw, read_rows
-
-        return draw(read_rows(path / "metrics.csv"), title=plain(path.resolve().name))
-    return None
-
-
-def _draw_world(path: Path, seed: int | None, title: str) -> Any:
-    """A world, and, by a seed, a random flight in it."""
-    import numpy as np
-
-    from scenegen.display.pictures import draw_world
-    from scenegen.source import read_world
-    from scenegen.worlds.flight import poses_in_flight
-    from scenegen.worlds.world import solid
-
-    world = solid(read_world(path), str(path))
-    poses = [] if seed is None else poses_in_flight(world, seed=seed)
-    places = np.stack([pose.position for pose in poses]) if poses else None
-    return draw_world(world, title=title, places=places, joined=True)
 
 
 def _draw_samples(
@@ -208,7 +168,7 @@ def _draw_samples(
 ) -> tuple[Any, list[str]]:
     """The picture of a dataset's samples, and a line for each thing that could not be read."""
     from scenegen.display.figures import FIGURES as DRAWN
-    from scenegen.display.look import looks, spread, title_of
+    from scenegen.display.look import evenly, looks, title_of
     from scenegen.display.panels import plain
     from scenegen.display.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
@@ -216,7 +176,7 @@ def _draw_samples(
     bare = figure in ("sample", "world") or film
     guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
-    numbers = indices or (spread(dataset, split, count) if count else (0,))
+    numbers = indices or (evenly(len(dataset.split(split)), count) if count else (0,))
     if film == "flight":
         numbers = _same_world(dataset, split, numbers[0])
     looked, notes = looks(dataset, split, numbers, guesses)

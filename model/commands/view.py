@@ -12,12 +12,15 @@ from scenegen.cli.options import (
     flags_given,
     group,
     index_option,
+    open_dataset,
     quiet_option,
     split_option,
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
+from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
+from scenegen.paths import function_for, type_of
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
@@ -78,16 +81,23 @@ def view(
     **shown: Any,
 ) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
-    some of it."""
+    some of it, or the completion of a scan (.h5)."""
     if out is not None and (odd := flags_given(("host", "port"))):
         raise click.UsageError(f"{odd[0]}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    from scenegen.dataset.opening import open_data
+    name = type_of(dataset)
+    if out is not None and name == "predictions":
+        from scenegen.display.page import page
 
-    source = open_data(dataset, partial=True, shown=not quiet)
+        looks = function_for(dataset, "shows")(Path(dataset))
+        write_result(out, page(looks, title=str(dataset)).encode())
+        if not quiet:
+            say(f"{out}: open it in a browser")
+        return
+    source = open_dataset(dataset, shown=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
     if out is None and len(opened) > 1 and shown["predictions"] is not None:
         raise click.UsageError("--predictions: is of one dataset; name that one")
@@ -98,17 +108,18 @@ def view(
     from scenegen.display.live import Live
     from scenegen.display.look import incomplete
 
-    there, index = len(opened[0].split(split)), indices[0] if indices else 0
-    if index >= max(there, 1):
-        raise click.UsageError(f"--index {index}: its {split} split has {there} samples")
-    for one in opened:
-        for line in incomplete(one, split):
-            note(f"{one.name}: {line}")
+    samples, index = len(opened[0].split(split)), indices[0] if indices else 0
+    if index >= max(samples, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {samples} samples")
+    for each in opened:
+        for line in incomplete(each, split):
+            note(f"{each.name}: {line}")
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
     with server, stops.noted() as stopped:
-        say(f"{server.address}  shows {', '.join(one.name for one in opened)}; Ctrl-C ends it")
+        folders = ", ".join(each.name for each in opened)
+        say(f"{server.address}  shows {folders}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
             say(
@@ -130,12 +141,11 @@ def write_page(
 ) -> None:
     """Write a page that holds what it shows: samples of a split by `indices`, else `count` of them,
     evenly spread."""
-    from scenegen.display.look import looks, spread, title_of
+    from scenegen.display.look import evenly, looks, title_of
     from scenegen.display.page import check_grid, page
-    from scenegen.files import write_result
 
     check_grid(found.grid)
-    shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
+    shown, notes = looks(found, split, indices or evenly(len(found.split(split)), count), guesses)
     title = f"{title_of(found)}, {split}"
     content = page(shown, title=title, notes=notes)
     write_result(out, content.encode())

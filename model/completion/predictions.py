@@ -10,7 +10,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
 from scenegen.dataset.shard import compress
@@ -21,7 +20,7 @@ from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.protocol import PARTS, STORED
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Executor, chunked
+from scenegen.run import Counted, Executor, chunked, counted, unheard
 from scenegen.run.workers import ALONE, guarded
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
@@ -38,14 +37,16 @@ def predict_split(
     out: Path,
     *,
     execute: Executor | None = None,
-    progress: Showing = silent,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> list[float]:
     """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
     `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there
     are kept, so that a run goes on where another one ended. Returns how far from home each sample
     is that was completed now, see `Prediction.away`; [] where nobody knows.
 
-    This process does it; or `execute` has it done, on one thread a process.
+    This process does it; or `execute` has it done, on one thread a process. `on_start` is called
+    with the number of samples once the work has begun, `on_done` with how many more are written.
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
@@ -65,7 +66,7 @@ def predict_split(
     execute = execute or ALONE
     tasks = [part for part in execute.mine(parts) if part[0] not in there]
     work, total = partial(_write, asked, samples, about, out), sum(len(n) for _, n in tasks)
-    several = counted(execute, progress, work, tasks, "complete", total)
+    several = counted(execute, work, tasks, total=total, on_start=on_start, on_done=on_done)
     return [far for some in several for far in some if far is not None]
 
 
@@ -161,8 +162,10 @@ def read_guarded(
 
 
 def prediction_facts(path: Path) -> Json:
-    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
-    Raises DatasetError."""
+    """An HDF5 file of predictions, of a split or of one scan, or the first one of a folder: who
+    made them, and what is in it. Raises DatasetError."""
+    if path.is_dir():
+        path = min(path.glob("*.h5"), default=path / PREDICTIONS)
     return read_guarded(_facts, path, 1 << 62)
 
 

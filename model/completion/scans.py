@@ -1,10 +1,9 @@
-"""Completions of real scans: of a file, of every file in a folder, or of a log with poses; and a
-page to look at them with."""
+"""Completions of real scans: of a file, of every file in a folder, or of a log with poses."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -18,25 +17,24 @@ from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
-from scenegen.cli.show import Progress, note, say
 from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
 from scenegen.clouds.npz import read_npz
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
-from scenegen.display.look import Guess, Look, evenly
-from scenegen.display.page import page
-from scenegen.errors import DatasetError, DiskError, printable, raised_as
-from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
+from scenegen.display.look import Guess, Look
+from scenegen.errors import DatasetError, raised_as
+from scenegen.files import check_ours, make_way, read_bounded, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
 from scenegen.logs.log import Log
-from scenegen.logs.read import is_log, read_log
+from scenegen.logs.read import read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5, read_guarded
 from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
+from scenegen.paths import is_log
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -260,6 +258,24 @@ def _completion(path: Path) -> Look:
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
+def looks_of_completion(path: Path) -> list[Look]:
+    """The completion of a scan as the only one of a list; see `read_completion`."""
+    return [read_completion(path)]
+
+
+def draw_completion(path: Path) -> Any:
+    """Draw the completion of a scan, see `read_completion`, as a figure of matplotlib."""
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_sample
+
+    look = read_completion(path)
+    (guess,) = look.guesses
+    masks = {**look.masks, "predicted": guess.occupied}
+    panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
+    look = replace(look, masks=masks, tudf=guess.tudf)
+    return draw_sample(look, title=plain(path.name), panels=panels)
+
+
 def read_line(done: Sequence[Completed]) -> str:
     """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
     points are no returns."""
@@ -296,16 +312,14 @@ def tasks_of(
     sensor: ArrayLike,
     every: int,
     columns: int | None,
-    quiet: bool,
     **reading: Any,
-) -> tuple[int, Iterable[Task]]:
+) -> tuple[int, Iterable[Task], str]:
     """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
-    to be completed, and these. Raises DatasetError for a folder without scans."""
+    to be completed, these, and a line on how the log was read. Raises DatasetError for a folder
+    without scans."""
     if reading["poses"] is not None or is_log(found):
         log = read_log(found, columns=columns, **reading)
-        if not quiet:
-            note(log.line())
-        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
+        return len(range(0, len(log.poses), every)), scans_of_log(log, every), log.line()
     kept = found / "observations"  # what `ingest` keeps beside its maps
     scans = scans_in(kept if kept.is_dir() else found)[::every]
     if not scans:
@@ -320,49 +334,5 @@ def tasks_of(
             f"{found}: holds several scans called {twice}, which would all be completed into "
             f"{twice}.h5; rename them"
         )
-    return len(scans), zip(
-        names, (partial(read_scan, scan, sensor, columns) for scan in scans), strict=True
-    )
-
-
-def complete_all(
-    completer: Completer, tasks: tuple[int, Iterable[Task]], out: Path, most: int, quiet: bool
-) -> None:
-    """Complete scans into files of their names in the folder `out`, and write a page of at most so
-    many.
-
-    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
-    end where some could not be completed.
-    """
-    count, scans = tasks
-    done, there, broken = [], [], 0
-    with Progress("complete", shown=not quiet) as progress:
-        progress.start(count)
-        for name, read in scans:
-            target = out / f"{name}.h5"
-            if not target.exists():
-                try:
-                    done.append(predict_scan(completer, read(), target))
-                except DiskError:
-                    raise
-                except DatasetError as error:
-                    broken += 1
-                    note(printable(error))
-            if target.exists():
-                there.append(target)
-            progress.count(1)
-    if there:
-        looks = [read_completion(there[n]) for n in evenly(len(there), most)]
-        known = any("occupancy" in look.masks for look in looks)
-        notes = ["Where the log knows nothing, predictions are not shown."] * known
-        write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
-    if broken:
-        raise DatasetError(
-            f"{out}: {broken} of {count} scans could not be completed; the others are there"
-        )
-    if not quiet and done:
-        note(read_line(done))
-    if not quiet:
-        for line in summary(done):
-            note(f"note: {line}")
-        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")
+    readers = (partial(read_scan, scan, sensor, columns) for scan in scans)
+    return len(scans), zip(names, readers, strict=True), ""

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.parameters import plain
 from scenegen.dataset.read import AnyDataset
 from scenegen.display.look import evenly
@@ -30,7 +29,7 @@ from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.evaluation.run import check_whole, filled
 from scenegen.model.evaluation.visibility import UNOBSERVED, Case
-from scenegen.run import Executor, check_together, chunked
+from scenegen.run import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.run.workers import ALONE
 
 LOGIT, MOST_LOGIT = 0.05, 20.0
@@ -103,7 +102,8 @@ def calibrate(
     split: str = "val",
     samples: int | None = None,
     execute: Executor = ALONE,
-    progress: Showing = silent,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> Calibration:
     """Calibrate a network's probabilities, and write it with its calibration.
 
@@ -116,7 +116,8 @@ def calibrate(
         split: The split of the datasets to calibrate on; no training may have seen it.
         samples: At most so many maps of each dataset, evenly spread; None for all.
         execute: Where maps are completed.
-        progress: Shows how far the work is.
+        on_start: Called with the number of maps once the work has begun.
+        on_done: Called with the number of maps of each part that is done.
 
     Returns:
         The calibration.
@@ -142,7 +143,7 @@ def calibrate(
     tasks = _tasks(datasets, split, samples)
     total = sum(len(task.numbers) for task in tasks)
     work = partial(_count_task, split, method, weight)
-    parts = counted(execute, progress, work, tasks, "calibrate", total)
+    parts = counted(execute, work, tasks, total=total, on_start=on_start, on_done=on_done)
     # in the order of the maps, wherever and whenever each was counted
     maps = sorted(
         (one for part in parts for one in part), key=lambda one: (one.dataset, one.number)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import AnyDataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
@@ -31,7 +30,7 @@ from scenegen.model.evaluation.planning.measure import (
 from scenegen.model.evaluation.reliability import count_map
 from scenegen.model.evaluation.thresholds import tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, walled
-from scenegen.run import Executor, check_together, chunked
+from scenegen.run import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import rng_of
 from scenegen.truth import distance_field
@@ -161,14 +160,15 @@ def bench(
     *,
     kind: str | None = None,
     execute: Executor = ALONE,
-    progress: Showing = silent,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
     goals for every method.
 
-    `execute` has a few samples measured at a time, and `progress` shows how many are. Raises
-    DatasetError for an empty split, and where `execute` leaves samples to others: a report is of
-    all of them.
+    `execute` has a few samples measured at a time. `on_start` is called with the number of samples
+    once the work has begun, `on_done` with how many more are measured. Raises DatasetError for an
+    empty split, and where `execute` leaves samples to others: a report is of all of them.
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
@@ -185,7 +185,7 @@ def bench(
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
     work = partial(_bench_samples, dataset, methods, tuned, trials_each, config)
-    chunks = counted(execute, progress, work, tasks, kind, len(numbers))
+    chunks = counted(execute, work, tasks, total=len(numbers), on_start=on_start, on_done=on_done)
     samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
     # (trial's number within its sample, sample): first trials come first, so that a cut to the
     # number asked for leaves all samples about as many
@@ -237,10 +237,11 @@ def bench_all(
     config: BenchConfig,
     *,
     execute: Executor,
-    progress: Showing = silent,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> list[DatasetResult]:
-    """Measure `methods` on every kind of worlds in `datasets`; `progress` shows how many samples of
-    it are finished.
+    """Measure `methods` on every kind of worlds in `datasets`; for `on_start` and `on_done`, which
+    are called for each kind, see `bench`.
 
     Raises DatasetError where a file of predictions is not of all datasets, and where two datasets
     have samples of one kind; and as `bench` does.
@@ -259,7 +260,15 @@ def bench_all(
             f"of each"
         )
     return [
-        bench(dataset, methods, config, kind=kind, execute=execute, progress=progress)
+        bench(
+            dataset,
+            methods,
+            config,
+            kind=kind,
+            execute=execute,
+            on_start=on_start,
+            on_done=on_done,
+        )
         for dataset, kind in tables
     ]
 

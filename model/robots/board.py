@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.fly.course import Course, Recording
+from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
 from scenegen.model.evaluation.report import HEAD, STYLE, Table, block
@@ -77,7 +77,7 @@ def leaderboard(folder: Path) -> str:
     """
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
     for path in sorted(folder.glob("*.json")):
-        entry = Recording.read(path)
+        entry = read_recording(path)
         with raised_as(DatasetError, f"{path}: ", of=DatasetError):
             part = part_of(entry)
         row = _row(entry)

@@ -12,10 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.cli import show
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import Json, check_ours, write_result, write_whole
-from scenegen.fly.course import Course, Flights, FlownCourse, Recording, replay
+from scenegen.fly.course import (
+    Course,
+    Flights,
+    FlownCourse,
+    Recording,
+    read_recording,
+    replay,
+)
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -33,7 +39,7 @@ from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
-from scenegen.run import undone_if_stopped
+from scenegen.run import Executor, Function, counted, undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of a flight of which a summary has the mean."""
@@ -89,17 +95,28 @@ def fly_course(
     return replace(course, document=real.sha256), flown
 
 
-counted = partial(show.counted, size=lambda one: len(one[1]))
-"""Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
-Crew = Callable[..., Iterator[Any]]
-"""`counted` with an executor and what makes progress bars."""
+Crew = Callable[[Function, Sequence[Any], int], Iterator[Any]]
+"""Works through courses of so many flights in all, and gives each course with what was made of each
+of its flights."""
+
+
+def crew_of(execute: Executor, **progress: Any) -> Crew:
+    """A crew that works where `execute` says; for `progress`, counted in flights, see
+    `scenegen.run.counted`."""
+
+    def crew(function: Function, courses: Sequence[Any], flights: int) -> Iterator[Any]:
+        return counted(
+            execute, function, courses, total=flights, size=lambda pair: len(pair[1]), **progress
+        )
+
+    return crew
 
 
 def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
     """What is told of each flight, and how hard its mission is."""
     courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
-    grades = dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    grades = dict(crew(partial(_graded, hidden=hidden), courses, total))
     return [
         one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
@@ -183,7 +200,7 @@ def fly_courses(
     # only an entry is gone on with: of other flights, all are kept or none
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            for course, flown in crew(work, todo, "fly", total):
+            for course, flown in crew(work, todo, total):
                 by_name[named(course)] = course, flown
                 if suite and time.monotonic() - saved_s > SAVED_S:
                     save()
@@ -201,11 +218,11 @@ def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Co
         return {}
     if entry.suite is None or not out.exists():
         with suppress(DatasetError):  # another file, or none
-            if Recording.read(out).suite:
+            if read_recording(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)
         return {}
-    former = Recording.read(out)
+    former = read_recording(out)
     entry = replace(entry, track=entry.track or track_of(former))
     if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
@@ -241,7 +258,7 @@ def flown_again(
         ScenegenError: `hidden` or `maps` are not those of the entry, or a course is not one of its
             suite's.
     """
-    recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
+    recording, track, told = read_recording(path), track_name(hidden, maps), dict[str, str]()
     if recording.suite is not None:
         with raised_as(DatasetError, f"{path}: ", of=DatasetError):
             part = part_of(recording)
@@ -261,7 +278,7 @@ def flown_again(
         raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
+        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, count))
     told["as recorded, to the bit"], unlike = f"{count} flights", list[Flown]()
     if anew is not None:
         chosen = recording.courses[::QUICK]
@@ -275,7 +292,7 @@ def _unlike(recorded: Flights, work: Work, crew: Crew) -> list[Flown]:
     """The flights of a robot through these courses that are not, to the bit, as recorded."""
     before = {named(course): flights for course, flights in recorded}
     count, unlike = sum(map(len, before.values())), list[Flown]()
-    for course, flown in crew(work, [course for course, _ in recorded], "fly anew", count):
+    for course, flown in crew(work, [course for course, _ in recorded], count):
         pairs = zip(flown, before[named(course)], strict=True)
         unlike += [again for again, former in pairs if again.digest != former.digest]
     return unlike

@@ -68,6 +68,13 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
     return figure
 
 
+def draw_run(folder: Path) -> Any:
+    """Draw the curves of a training run's folder; see `draw`. Raises DatasetError."""
+    from scenegen.display.panels import plain
+
+    return draw(read_rows(folder / "metrics.csv"), title=plain(folder.resolve().name))
+
+
 FULL_EPOCHS = 100
 """Epochs of the full protocol at most; it ends when validation no longer improves."""
 GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}

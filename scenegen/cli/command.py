@@ -123,8 +123,8 @@ def _end(error: BaseException) -> tuple[int, str]:
             return 1, error.format_message()
         case click.Abort() | KeyboardInterrupt() | StoppedError():
             return stops.CODE, str(error) if isinstance(error, StoppedError) else stops.STOPPED
-        case ModuleNotFoundError() if said := lacking(error):
-            return 1, f"this command {said}"
+        case ModuleNotFoundError() if advice := lacking(error):
+            return 1, f"this command {advice}"
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
             return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
         case Exception() if isinstance(error := told(error), ScenegenError):

@@ -22,6 +22,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
+from scenegen.paths import type_of
 from scenegen.run import Executor
 
 
@@ -64,27 +65,27 @@ def convert(
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError, plural
 
-    found = open_dataset(dataset, shown=not quiet)
-    target = out or Path(f"{Path(found.name).absolute().stem}-{to.rpartition(':')[2]}")
-    for one in found.datasets:
+    source = open_dataset(dataset, shown=not quiet)
+    target = out or Path(f"{Path(source.name).absolute().stem}-{to.rpartition(':')[2]}")
+    for one in source.datasets:
         if not one.manifest.complete:
             note(f"{one.folder}: is incomplete; what is there is converted")
     with Progress(to, shown=not quiet) as progress:
         done = write(
-            found,
+            source,
             target,
             to=to,
             choices=Choices(**options),
             splits=splits or SPLITS,
             execute=execute,
             on_start=progress.start,
-            on_sample=progress.count,
+            on_done=progress.count,
         )
     for line in (*(done.notes if not quiet else ()), *done.broken):
         note(line)
     if done.broken:
         raise DatasetError(
-            f"{found.name}: {len(done.broken)} samples could not be read; the others are in "
+            f"{source.name}: {len(done.broken)} samples could not be read; the others are in "
             f"{target}"
         )
     if not quiet:
@@ -107,7 +108,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
 
     With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
     """
-    alone = Path(dataset).suffix == ".xml"
+    alone = type_of(dataset) == "world"
     surfaces = out is not None and out.suffix == ".glb"
     if alone and not surfaces:
         raise click.UsageError(
@@ -123,12 +124,12 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         from scenegen.source import read_world
         from scenegen.worlds.world import solid
 
-        found = (
+        compiled = (
             read_world(Path(dataset))
             if number is None
             else open_dataset(dataset, shown=True).compile(split, number)
         )
-        write_result(out, encode_world(solid(found, str(dataset))))
+        write_result(out, encode_world(solid(compiled, str(dataset))))
         say(f"written: {out}")
         return
     from scenegen.dataset.archive import DOCUMENT, write_extracted

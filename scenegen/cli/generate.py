@@ -43,8 +43,8 @@ from scenegen.cli.types import FILE, Choice, DatasetPath, Named, Written, read_r
 from scenegen.errors import AskedError, raised_as
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.parts import PARTS
+from scenegen.paths import WORLD_FILES
 from scenegen.recipes import KINDS
-from scenegen.worlds import WORLD_FILES
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:

@@ -170,7 +170,7 @@ def ingest(
         return
     with Progress("ingest", shown=talk) as progress:
         progress.start(len(recording.poses))
-        counts = write(recording, target, how, on_scan=progress.count)
+        counts = write(recording, target, how, on_done=progress.count)
     if tell({"folder": str(target), "read": dict(recording.about), **counts}):
         source, folder = quote(str(target)), quote(f"{target}-samples")
         show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

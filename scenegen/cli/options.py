@@ -233,15 +233,15 @@ def engine_option(help: str, **more: Any) -> Decorator:
     return click.option("--engine", type=Named(ENGINES), help=help, **more)
 
 
-def _noise(given: str) -> str:
+def _noise(text: str) -> str:
     """The text as it is, if each of its stages can be read; the chain is made once the sensor is
     known."""
     from lidarsim.noise.chain import DATASHEET, Noise
 
-    for stage in given.split(","):
+    for stage in text.split(","):
         if stage.strip() != DATASHEET:
             Noise.parse(stage)
-    return given
+    return text
 
 
 noise_option = click.option(
@@ -347,9 +347,9 @@ def flags_given(names: Collection[str]) -> list[str]:
     context: Any = click.get_current_context()
     source = context.get_parameter_source
     return [
-        one.opts[0]
-        for one in context.command.params
-        if one.name in names and source(one.name) is not ParameterSource.DEFAULT
+        option.opts[0]
+        for option in context.command.params
+        if option.name in names and source(option.name) is not ParameterSource.DEFAULT
     ]
 
 

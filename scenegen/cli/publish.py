@@ -73,10 +73,12 @@ def publish(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
+    from scenegen.paths import check_type
     from scenegen.run import check_together
     from scenegen.share.stage import Request
     from scenegen.share.upload import publish as run_publish
 
+    check_type(dataset, "dataset")
     check_together(options["execute"], "publish takes")
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),
@@ -88,24 +90,24 @@ def publish(
     )
     with Progress("verify", shown=talk) as progress:
 
-        def staged(found: Any) -> None:
+        def report(staged: Any) -> None:
             progress.stop()
             if talk:
                 then = "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
-                note(f"Wrote {found.folder}. {then}")
+                note(f"Wrote {staged.folder}. {then}")
 
-        found, commit = run_publish(
+        staged, commit = run_publish(
             request,
             shown=talk,
             on_start=progress.start,
             on_done=progress.count,
-            on_staged=staged,
+            on_staged=report,
             **options,
         )
-    size, seconds = sum(found.files.values()), seconds_taken()
-    sent = {"folder": str(found.folder), "commit": commit, "bytes": size, "seconds": seconds}
-    if tell(vars(found) | sent):
-        _show_staged(found, commit, size, seconds)
+    size, seconds = sum(staged.files.values()), seconds_taken()
+    sent = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
+    if tell(vars(staged) | sent):
+        _show_staged(staged, commit, size, seconds)
 
 
 def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
@@ -113,7 +115,7 @@ def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float
     from scenegen.dataset.schema import pattern_of
     from scenegen.share.upload import IN_COMMIT
 
-    said = {
+    rows = {
         "folder": staged.folder,
         "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
         "commits": f"at most {-(-len(staged.files) // IN_COMMIT)}",
@@ -127,7 +129,7 @@ def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float
         show_table(
             {name: f"{size:>15,}" for name, size in listed.items()}, "would be uploaded, in bytes"
         )
-        show_table(said | {"next": "the same command without --dry-run"}, "ready")
+        show_table(rows | {"next": "the same command without --dry-run"}, "ready")
     else:
-        said["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
-        show_table(said, "published")
+        rows["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(rows, "published")

@@ -29,7 +29,7 @@ from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_tabl
 from scenegen.cli.types import Named, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.logs import Cruise
-from scenegen.worlds import CLOUDS, MAPS
+from scenegen.paths import type_of
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
@@ -70,14 +70,14 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     """
     from scenegen.tables import named_lidar
 
-    found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
-    rows = {name: _facts(sensor) for name, sensor in found.items()}
+    chosen = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
+    rows = {name: _facts(sensor) for name, sensor in chosen.items()}
     if out is not None:
         from scenegen.display.panels import to_bytes
         from scenegen.display.pictures import draw_patterns
         from scenegen.files import write_result
 
-        write_result(out, to_bytes(draw_patterns(found), ".png"))
+        write_result(out, to_bytes(draw_patterns(chosen), ".png"))
     if as_json:
         print(json.dumps(rows))
     elif names:
@@ -117,7 +117,7 @@ def _cell(value: Any) -> str:
     """A figure for the list: 16 × 1808, or -15 … 15."""
     if not isinstance(value, list):
         return f"{value:g}"
-    return (" … " if isinstance(value[0], float) else " × ").join(f"{one:g}" for one in value)
+    return (" … " if isinstance(value[0], float) else " × ").join(f"{number:g}" for number in value)
 
 
 @command(
@@ -191,7 +191,7 @@ def scan(
         raise click.UsageError("--sequence goes with --flight, and without --frame")
     if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
-    if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
+    if type_of(world) in ("map", "scan", "plan") and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from scenegen.dataset.shard import find_engine
     from scenegen.display.exchange.files import SUFFIXES

@@ -5,14 +5,14 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rich_click as click
 
 from scenegen.errors import escaped, plural, printable
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
@@ -123,11 +123,12 @@ def rejections(rejected: Mapping[str, Mapping[str, int]]) -> str:
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables as one, names joined by dots."""
-    found: dict[str, Any] = {}
+    rows: dict[str, Any] = {}
     for name, value in values.items():
-        inner = isinstance(value, dict)
-        found |= flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
-    return found
+        rows |= (
+            flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+        )
+    return rows
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,7 +138,7 @@ def plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, list):
-        return ", ".join(str(_plain(one)) for one in value) or "none"
+        return ", ".join(str(_plain(item)) for item in value) or "none"
     return f"{value:.4g}" if isinstance(value, float) else value
 
 
@@ -157,26 +158,26 @@ class Progress:
     workers."""
 
     def __init__(self, label: str, *, shown: bool):
-        self._label, self._shown = label, shown
-        self._done = 0
+        self._label, self._shown, self._done = label, shown, 0
         self._bar: Any = None
         self._begun = ExitStack()
 
     def __enter__(self) -> "Progress":
         self._begun.enter_context(undone_if_stopped(self._leave))
+        self._begun.callback(self.stop)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.stop()
         self._begun.close()
 
-    def stop(self) -> None:
-        """Leaves the bar as it stands."""
-        if self._bar is not None:
-            self._bar.stop()
-
     def start(self, total: int) -> None:
-        """Shows the bar, of `total` samples less those counted already."""
+        """Shows a bar of `total` samples, of which those counted before the first bar are done."""
+        self.restart(self._label, total, 0 if self._bar is not None else self._done)
+
+    def restart(self, label: str, total: int, done: int) -> None:
+        """Shows a new bar of `total` samples, `done` of them already."""
+        self.stop()
+        self._label, self._done = label, done
         if not self._shown:
             return
         from rich import progress
@@ -191,17 +192,14 @@ class Progress:
             # notebooks ask for colours, which rich takes for a terminal
             console=Console(stderr=True, force_terminal=sys.stderr.isatty()),
         )
-        self._begin, self._at_begin = time.perf_counter(), self._done
-        self._task = self._bar.add_task(
-            escaped(self._label), total=total, completed=self._done, rate=""
-        )
+        self._begin, self._at_begin = time.perf_counter(), done
+        self._task = self._bar.add_task(escaped(label), total=total, completed=done, rate="")
         self._bar.start()
 
-    def restart(self, label: str, total: int, done: int) -> None:
-        """Shows a new bar of `total` samples, `done` of them already."""
-        self.stop()
-        self._label, self._done = label, done
-        self.start(total)
+    def stop(self) -> None:
+        """Leaves the bar as it stands."""
+        if self._bar is not None:
+            self._bar.stop()
 
     def note(self, text: str) -> None:
         """Shows `text` behind the label."""
@@ -225,30 +223,3 @@ class Progress:
 Tell = Callable[[Any], bool]
 """What prints a command's result as JSON, if that is asked for, and says whether to show it to
 people; it is given the result, or what makes one that takes time."""
-Showing = Callable[[str], Progress]
-"""What makes the bar of work that has a label."""
-
-
-def silent(label: str) -> Progress:
-    """The bar of work that nobody watches."""
-    return Progress(label, shown=False)
-
-
-def counted(
-    execute: Executor,
-    progress: Showing,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    label: str,
-    total: int,
-    size: Callable[[Any], int] = len,
-) -> Iterator[Any]:
-    """What `execute` has `work` make of each task, as it comes; `progress` shows how many samples
-    of the `total` there are, of which a result holds its `size`."""
-    with (
-        progress(label) as shown,
-        closing(execute(work, tasks, lambda: shown.start(total))) as results,
-    ):
-        for one in results:
-            shown.count(size(one))
-            yield one

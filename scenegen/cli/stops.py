@@ -83,7 +83,7 @@ def _stop(number: int, frame: object) -> None:
         signal.signal(again, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(MOST_UNDOING_S)
-    said = undo_all() or STOPPED
+    line = undo_all() or STOPPED
     with suppress(OSError):
-        os.write(2, f"scenegen: {said}\n".encode())
+        os.write(2, f"scenegen: {line}\n".encode())
     os._exit(CODE)

@@ -57,10 +57,10 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
             f"{', '.join(report.failed)}"
         )
     if report.differing:
-        found = next(check for check in report.checks if check.differing)
+        first = next(check for check in report.checks if check.differing)
         raise UndecidedError(
             f"verify: no check failed, and {', '.join(report.differing)} cannot tell: "
-            f"{found.detail}; verify with the versions that dataset.json names under software"
+            f"{first.detail}; verify with the versions that dataset.json names under software"
         )
 
 
@@ -82,5 +82,5 @@ def _show_checks(report: "Report", seconds: float) -> None:
         differing = len(report.differing)
         passed = len(report.checks) - skipped - differing
         others = {"differ": differing, "skipped": skipped}
-        said = [f"{count} {what}" for what, count in others.items() if count]
-        say(", ".join([f"{passed} passed", *said]) if said else f"all {passed} checks passed")
+        parts = [f"{count} {what}" for what, count in others.items() if count]
+        say(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")

@@ -7,7 +7,7 @@ in it. A *selection* is a JSON file that names samples of datasets by number, an
 import os
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -21,6 +21,7 @@ from scenegen.dataset.schema import NAME, Digest, SplitName
 from scenegen.errors import DatasetError, printable
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SOURCES
+from scenegen.paths import DATA, check_type
 from scenegen.stores import is_remote
 
 COLLECTION = "collection.json"
@@ -59,7 +60,7 @@ class SelectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     datasets: Annotated[list[SelectedDataset], Meta(min_length=1, max_length=MOST_SOURCES)]
 
 
-Name = str | os.PathLike[str]
+Name = str | PurePath
 
 
 def open_data(
@@ -83,9 +84,10 @@ def open_data(
     """
     if isinstance(names, AnyDataset):
         return names
-    if not isinstance(names, str | os.PathLike):
+    if not isinstance(names, str | PurePath):
         opened = [open_data(name, partial=partial, checked=checked, shown=shown) for name in names]
         return opened[0] if len(opened) == 1 else _joined(opened)
+    check_type(names, *DATA)
     folder = locate(names, shown=shown)
     if folder.is_file():
         return _selection(folder, partial=partial, checked=checked)

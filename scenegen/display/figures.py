@@ -32,6 +32,7 @@ from scenegen.display.panels import (
     draw_panel,
     draw_voxels,
     frame_box,
+    height_of,
     line,
     plain,
     put_ball,
@@ -42,10 +43,8 @@ from scenegen.errors import DatasetError
 
 STEEP = View(elevation=math.radians(50))
 """From higher above, so that fewer things hide a path."""
-STYLES = {"tudf": (0, (6, 1.5)), "occ": (0, (2, 1.2)), "proposed": "-"}
-"""Dashes of paths by the names of the paper's networks, for readers who cannot tell the colours
-apart."""
-OTHER_STYLES: tuple[Any, ...] = ((0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+DASHES: tuple[Any, ...] = ((0, (6, 1.5)), (0, (2, 1.2)), "-", (0, (8, 1.5, 1.5, 1.5)))
+"""Of paths, in turn, for readers who cannot tell the colours apart."""
 
 
 def draw_completions(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -55,7 +54,7 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
 
     `width` is that of the figure, inches. Raises DatasetError where nothing is predicted.
     """
-    names = methods_of(looks)
+    names = ("scan", "truth", *methods_of(looks))
     alone = len(looks) == 1
     errors = (
         (MISSED, f"missed by {DEEP} or more voxels"),
@@ -63,24 +62,21 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
         (INVENTED, f"invented, {DEEP} or more off"),
         (_pale(INVENTED), "invented, one off"),
     )
-    handles = [ball("sensor"), *(Patch(color=rgb(one), label=said) for one, said in errors)]
-    grid = Grid(len(looks) + alone, 2 + len(names), title, handles, width=width)
+    handles = [ball("sensor"), *(Patch(color=rgb(shade), label=text) for shade, text in errors)]
+    grid = Grid(len(looks) + alone, len(names), title, handles, width=width)
+    grid.name(names, [look.name for look in looks])
+    ticks = alone and not width
     for row, look in enumerate(looks):
-        grid.name_row(row, look.name)
-        for panel, name in zip(grid.panels[row], ("points", "occupancy"), strict=False):
-            draw_panel(panel, look, name, "", ticks=alone and not width)
+        for panel, mask in zip(grid.panels[row], ("points", "occupancy"), strict=False):
+            draw_panel(panel, look, mask, "", ticks=ticks)
         for guess in look.guesses:
-            panel = grid.panels[row, 2 + names.index(guess.name)]
-            frame_box(panel, *look.corners, ticks=alone and not width)
+            panel = grid.panels[row, names.index(guess.name)]
+            frame_box(panel, *look.corners, ticks=ticks)
             draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
             put_note(panel, look.iou(guess))
-    grid.name_columns(("scan", "truth", *names))
     if alone:
-        (look,) = looks
-        grid.name_row(1, _distances_at(look))
-        for n, tudf in enumerate(_distances(look).values()):
-            grid.level(1, 1 + n, look, at_sensor(look), tudf, "")
-        grid.bar_of_distances(look, row=1)
+        _draw_levels(grid, 1, names, looks[0], "")
+        grid.bar_of_distances(looks[0], row=1)
     grid.bar_of_heights(looks, row=0 if alone else None)
     return grid.figure
 
@@ -94,22 +90,23 @@ def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = N
     Raises DatasetError where nothing is predicted."""
     names = ["truth", *methods_of(looks)]
     grid = Grid(len(looks), len(names), title, [ball("sensor")], width=width)
-    grid.name_columns(names)
+    grid.name(names, [])
     for row, look in enumerate(looks):
-        grid.name_row(row, f"{look.name}, {_distances_at(look)}")
-        for name, tudf in _distances(look).items():
-            grid.level(row, names.index(name), look, at_sensor(look), tudf, "")
+        _draw_levels(grid, row, names, look, f"{look.name}, ")
     grid.bar_of_distances(looks[0])
     return grid.figure
 
 
-def _distances(look: Look) -> dict[str, Any]:
-    """The true distances, and each method's, by name."""
-    return {"truth": look.tudf, **{guess.name: guess.tudf for guess in look.guesses}}
-
-
-def _distances_at(look: Look) -> str:
-    return f"z = {look.origin[2] + (at_sensor(look) + 0.5) * look.grid.voxel_m:.2f} m"
+def _draw_levels(grid: Grid, row: int, names: Sequence[str], look: Look, before: str) -> None:
+    """Draws the true distances at the sensor's height, and each method's, in the columns of their
+    names; the row's name is `before` and that height."""
+    level = at_sensor(look)
+    grid.name_row(row, f"{before}z = {height_of(look, level):.2f} m")
+    for name, tudf in {
+        "truth": look.tudf,
+        **{guess.name: guess.tudf for guess in look.guesses},
+    }.items():
+        grid.level(row, names.index(name), look, level, tudf)
 
 
 def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -133,9 +130,8 @@ def draw_example(looks: Sequence[Look], *, title: str, width: float | None = Non
     the truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
     names = methods_of(looks, paths=True)
     grid = Grid(len(looks), 1 + len(names), title, _path_legend(names), width=width)
-    grid.name_columns((*names, "truth"))
+    grid.name((*names, "truth"), [look.name for look in looks])
     for row, look in enumerate(looks):
-        grid.name_row(row, look.name)
         for guess in look.guesses:
             panel = grid.panels[row, names.index(guess.name)]
             masks = {**look.masks, "occupancy": guess.occupied}
@@ -212,8 +208,5 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
 
 def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Colour and dashes of each method's path."""
-    dashes = itertools.cycle(OTHER_STYLES)
-    return {
-        name: {"color": rgb(shade), "linestyle": STYLES.get(name) or next(dashes)}
-        for name, shade in zip(names, path_colours(names), strict=True)
-    }
+    styles = zip(names, path_colours(names), itertools.cycle(DASHES), strict=False)
+    return {name: {"color": rgb(shade), "linestyle": dashes} for name, shade, dashes in styles}

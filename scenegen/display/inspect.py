@@ -15,6 +15,7 @@ from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.clouds import read_cloud
 from scenegen.dataset.manifest import load
+from scenegen.dataset.opening import open_data
 from scenegen.dataset.read import AnyDataset, Dataset, Split
 from scenegen.dataset.schema import NAME, ShardEntry
 from scenegen.dataset.selection import (
@@ -25,7 +26,7 @@ from scenegen.dataset.selection import (
     measure_of,
     measures_file,
 )
-from scenegen.display.look import spread
+from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
 from scenegen.mirrors import bytes_in
@@ -77,7 +78,7 @@ def inspect(
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
-        chosen = spread(dataset, split.name, (not keep and most) or len(split))
+        chosen = evenly(len(split), (not keep and most) or len(split))
         tables[split.name] = np.empty((len(chosen), len(MEASURES)))
         tasks += [(split.name, *row) for row in enumerate(chosen)]
     begun = partial(on_start, len(tasks))
@@ -101,6 +102,11 @@ def inspect(
         "bytes_per_sample": size / max(samples, 1),
         "splits": about_splits,
     }
+
+
+def inspect_path(path: Path) -> Json:
+    """`inspect` of a dataset, a collection or a selection. Raises DatasetError."""
+    return inspect(open_data(path, partial=True))
 
 
 def _facts(dataset: Dataset) -> Json:
@@ -149,19 +155,19 @@ def _measure(dataset: AnyDataset, task: tuple[str, int, int]) -> tuple[str, int,
 
 def _statistics(table: Floats) -> Json:
     """How the `MEASURES` of samples (samples, measures) spread."""
-    found: Json = {}
+    statistics: Json = {}
     for name, column in zip(MEASURES, table.T, strict=True):
         values = column[~np.isnan(column)]
-        found[name] = {
+        statistics[name] = {
             how: float(getattr(values, how)()) if len(values) else None
             for how in ("mean", "std", "min", "max")
         }
-    return found
+    return statistics
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
     """For each kind, how many samples were measured, and how their measures spread."""
-    chosen = spread(split.dataset, split.name, len(table))
+    chosen = evenly(len(split), len(table))
     rows = {kind: table[np.isin(chosen, numbers)] for kind, numbers in split.by_kind().items()}
     return {
         kind: {"sampled": len(measured), "statistics": _statistics(measured)}
@@ -181,7 +187,7 @@ def _counts(shards: Iterable[ShardEntry]) -> dict[str, int]:
 def inspect_all(folder: Path) -> list[Json]:
     """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
     digest, or its `fault`."""
-    found = []
+    rows = []
     for path in sorted(folder.glob(f"*/{NAME}")):
         row: Json = {"folder": str(path.parent)}
         try:
@@ -194,8 +200,8 @@ def inspect_all(folder: Path) -> list[Json]:
             }
         except DatasetError as error:
             row["fault"] = printable(error)
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 def inspect_world(path: Path) -> Json:
@@ -238,17 +244,17 @@ def scan_facts(path: Path, columns: int | None = None) -> Json:
     cloud = read_cloud(path, columns=columns)
     points = cloud.points
     returned = points[np.isfinite(points).all(axis=1)]
-    found = {"scan": str(path), "read": cloud.layout, "points": len(points)}
-    found |= {"returns": len(returned), "at_origin": int((~returned.any(axis=1)).sum())}
+    facts = {"scan": str(path), "read": cloud.layout, "points": len(points)}
+    facts |= {"returns": len(returned), "at_origin": int((~returned.any(axis=1)).sum())}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
-        found |= {
+        facts |= {
             "lower_m": returned.min(axis=0).tolist(),
             "upper_m": returned.max(axis=0).tolist(),
             "mean_range_m": float(ranges.mean()),
             "max_range_m": float(ranges.max()),
         }
-    return found
+    return facts
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:

@@ -10,6 +10,8 @@ import numpy as np
 
 from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
+from scenegen import SPLITS
+from scenegen.dataset.opening import open_data
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
@@ -101,46 +103,40 @@ class Look:
         shares = dict(self.masks)
         if {"observed", "free"} <= shares.keys():
             shares["unknown"] = ~(shares["observed"] | shares["free"])
-        found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
         if self.known is not None:
-            found["known"] = f"{100 * self.known.mean():.2f} %"
-            if "occupancy" in shares and self.known.any():
-                occupied = shares["occupancy"][self.known]
-                found["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
+            shares["known"] = self.known
+        rows = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
+        if self.known is not None and "occupancy" in shares and self.known.any():
+            occupied = shares["occupancy"][self.known]
+            rows["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
         if self.points is not None:
             several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
-            found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
+            rows["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
             if len(own := self.scans[0]):
                 ranges = np.linalg.norm(own - self.position, axis=1)
-                found["mean range"] = f"{ranges.mean():.2f} m"
+                rows["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
-            certain = self.certain
-            if certain is None:
-                found["mean distance"] = f"{self.tudf.mean():.2f} m"
-            elif certain.any():
-                found["mean distance"] = f"{self.tudf[certain].mean():.2f} m where certain"
+            all_certain = self.certain is None
+            certain = self.tudf.ravel() if all_certain else self.tudf[self.certain]
+            if len(certain):
+                where = "" if all_certain else " where certain"
+                rows["mean distance"] = f"{certain.mean():.2f} m{where}"
         for guess in self.guesses:
-            if (both := self._scored(guess)) is not None:
-                truth, occupied = both
-                missed, invented = (truth & ~occupied).sum(), (occupied & ~truth).sum()
-                found[guess.name] = f"{self.iou(guess)}, {missed} missed, {invented} invented"
+            if (text := self.iou(guess)) and (truth := self.masks.get("occupancy")) is not None:
+                wrong = (truth ^ guess.occupied) & (True if self.scored is None else self.scored)
+                missed, invented = (wrong & truth).sum(), (wrong & guess.occupied).sum()
+                rows[guess.name] = f"{text}, {missed} missed, {invented} invented"
             if guess.route is not None:
-                found[f"{guess.name}: path"] = guess.route.told
-        return found
+                rows[f"{guess.name}: path"] = guess.route.told
+        return rows
 
     def iou(self, guess: Guess) -> str:
-        """The intersection over union of a prediction, in words; nothing without a truth."""
-        both = self._scored(guess)
-        return "" if both is None else f"IoU {iou(*both):.3f}"
-
-    def _scored(self, guess: Guess) -> tuple[Mask, Mask] | None:
-        """The truth and a prediction in the voxels that scores count (voxels,); None without a
-        truth."""
-        truth = self.masks.get("occupancy")
-        if truth is None:
-            return None
+        """The intersection over union of a prediction over the voxels that scores count, in words;
+        nothing without a truth."""
+        if (truth := self.masks.get("occupancy")) is None:
+            return ""
         scored = np.ones(truth.shape, bool) if self.scored is None else self.scored
-        return truth[scored], guess.occupied[scored]
+        return f"IoU {iou(truth & scored, guess.occupied & scored):.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
@@ -226,18 +222,26 @@ def looks(
     Raises:
         DatasetError: The split has no such index, or none of the samples can be read.
     """
-    samples, found, notes = dataset.split(split), [], incomplete(dataset, split)
+    samples, shown, notes = dataset.split(split), [], incomplete(dataset, split)
     for index in indices:
         try:
-            found.append(look_into(samples, index, guesses))
+            shown.append(look_into(samples, index, guesses))
         except IndexError as error:
             raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
         except DatasetError as error:
             notes.append(str(error))
-    notes += [line for look in found for line in look.missing]
-    if not found:
+    notes += [line for look in shown for line in look.missing]
+    if not shown:
         raise DatasetError(notes[-1] if notes else f"{dataset.name}: its {split} split is empty")
-    return found, notes
+    return shown, notes
+
+
+def looks_of_dataset(path: Path, most: int = 24) -> list[Look]:
+    """At most `most` samples of the first split that has any of a dataset, a collection or a
+    selection, evenly spread. Raises DatasetError."""
+    dataset = open_data(path, partial=True)
+    split = next((name for name in SPLITS if len(dataset.split(name))), SPLITS[0])
+    return looks(dataset, split, evenly(len(dataset.split(split)), most))[0]
 
 
 def title_of(dataset: AnyDataset) -> str:
@@ -252,11 +256,6 @@ def incomplete(dataset: AnyDataset, split: str) -> list[str]:
         return []
     count = len(dataset.split(split))
     return [f"the dataset is incomplete: {count} samples of its {split} split are there"]
-
-
-def spread(dataset: AnyDataset, split: str, most: int) -> list[int]:
-    """Indices of at most `most` samples of a split, evenly spread."""
-    return evenly(len(dataset.split(split)), most)
 
 
 def evenly(count: int, most: int) -> list[int]:

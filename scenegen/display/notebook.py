@@ -1,23 +1,27 @@
-"""Samples, what is predicted of them, and paths: a page in a notebook, a file, or a browser."""
+"""Samples with predictions and paths, or a file, as a page in a notebook, a file, or a browser."""
 
 import base64
 import html
 import importlib.util
+import os
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim import GridSpec, Sensor
+from scenegen.dataset.locate import locate
 from scenegen.display.look import Guess, Look, Route, look_at
 from scenegen.display.page import page
 from scenegen.errors import DatasetError
 from scenegen.files import write_result
+from scenegen.paths import TYPES, function_for, what_is
 from scenegen.sample import Sample
 
 TALL = 620
@@ -31,10 +35,12 @@ class Shown:
     html: str
     """The page."""
     looks: Sequence[Look]
-    """What is on it."""
+    """The samples on it; none of a picture."""
+    draw: Callable[[], Any]
+    """Draws a figure of the first of them."""
 
     def __repr__(self) -> str:
-        return f"<Shown: {', '.join(look.name for look in self.looks)}>"
+        return f"<Shown: {', '.join(look.name for look in self.looks) or 'a picture'}>"
 
     def _repr_html_(self) -> str:
         """The page in a frame; below it a picture of the first sample, which is what one sees where
@@ -42,31 +48,34 @@ class Shown:
         if importlib.util.find_spec("matplotlib") is None:
             below = "<p>A picture where no scripts run needs matplotlib: the extra view.</p>"
         else:
-            below = f'<img src="{self._picture()}" style="max-width: 100%; max-height: 100%">'
+            below = picture(self.draw())
         frame = "position: absolute; inset: 0; width: 100%; height: 100%; border: 0"
         return (
             f'<div style="position: relative; height: {TALL}px">{below}'
             f'<iframe srcdoc="{html.escape(self.html)}" style="{frame}"></iframe></div>'
         )
 
-    def _picture(self) -> str:
-        from scenegen.display.figures import draw_completions
-        from scenegen.display.panels import plain, to_bytes
-        from scenegen.display.pictures import draw_sample
 
-        look = self.looks[0]
-        title = plain(look.name)
-        figure = (
-            draw_completions([look], title=title)
-            if look.guesses
-            else draw_sample(look, title=title)
-        )
-        drawn = to_bytes(figure, ".webp")
-        return f"data:image/webp;base64,{base64.b64encode(drawn).decode()}"
+def picture(figure: Any) -> str:
+    """A figure as an element of a page."""
+    from scenegen.display.panels import to_bytes
+
+    content = base64.b64encode(to_bytes(figure, ".webp")).decode()
+    style = "max-width: 100%; max-height: 100%"
+    return f'<img src="data:image/webp;base64,{content}" style="{style}">'
+
+
+def _draw(look: Look) -> Any:
+    from scenegen.display.figures import draw_completions
+    from scenegen.display.panels import plain
+    from scenegen.display.pictures import draw_sample
+
+    title = plain(look.name)
+    return draw_completions([look], title=title) if look.guesses else draw_sample(look, title=title)
 
 
 def show(
-    samples: Sample | Sequence[Sample],
+    samples: Sample | Sequence[Sample] | str | os.PathLike[str],
     prediction: Any = None,
     path: Any = None,
     *,
@@ -74,13 +83,14 @@ def show(
     grid: GridSpec | None = None,
     lidar: Sensor | None = None,
 ) -> Shown:
-    """Show samples in three dimensions, and what was predicted of the first of them.
+    """Show samples in three dimensions, and what was predicted of the first of them; or a path.
 
     In a notebook the page shows as the value of its cell; elsewhere it is opened in a browser, or
     written to the file `out`.
 
     Args:
-        samples: One sample, or several.
+        samples: One sample, or several; or the path of a dataset, of which some samples are shown,
+            of the completion of a scan, or of anything that `scenegen render` draws, as a picture.
         prediction: What is predicted of the first sample: a `scenegen.Prediction`, or a bool array
             of occupied voxels; or several of them by the name of who predicts.
         path: Points (n, 3) of a path planned on the first of the predictions, or on the truth,
@@ -91,32 +101,51 @@ def show(
 
     Raises:
         DatasetError: The grid is not known, or too large for a page; a prediction or path does not
-            fit the map; or `out` is not ours to replace.
+            fit the map; a path is not known, or cannot be shown; or `out` is not ours to replace.
         TypeError: The sensor is not known.
     """
-    looks = []
-    for sample in [samples] if isinstance(samples, Sample) else samples:
-        its_grid = grid or sample.grid
-        if its_grid is None:
-            raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
-        name = f"world {sample.world}, viewpoint {sample.viewpoint}"
-        looks.append(look_at(sample, its_grid, lidar, name))
+    if isinstance(samples, str | os.PathLike):
+        name = os.fspath(samples)
+        if not TYPES[what_is(name)].shows:
+            figure = function_for(name, "draws")(Path(name))
+            title = f"<title>{html.escape(name)}</title>"
+            drawn = Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
+            return _open(drawn, out)
+        looks = function_for(name, "shows")(locate(name))
+    else:
+        several = [samples] if isinstance(samples, Sample) else samples
+        looks = [_look(sample, grid or sample.grid, lidar) for sample in several]
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
-    first = looks[0]
+    looks[0] = _with_guesses(looks[0], prediction, path)
+    notes = [line for look in looks for line in look.missing]
+    content = page(looks, title="scenegen", notes=notes)
+    return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
+
+
+def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:
+    if grid is None:
+        raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
+    return look_at(sample, grid, lidar, f"world {sample.world}, viewpoint {sample.viewpoint}")
+
+
+def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
+    """A sample with what is predicted of it; for the arguments see `show`."""
     predictions: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
         predictions = prediction or {}
     if path is not None and not predictions:
-        predictions = {"truth": first.masks["occupancy"]}
-    if clashing := predictions.keys() & first.masks.keys():  # a name is one layer
+        predictions = {"truth": look.masks["occupancy"]}
+    if clashing := predictions.keys() & look.masks.keys():  # a name is one layer
         raise DatasetError(f"prediction: {', '.join(clashing)}: a sample's own; give another name")
-    guesses = [_guess(name, predicted, first.grid) for name, predicted in predictions.items()]
+    guesses = [_guess(name, predicted, look.grid) for name, predicted in predictions.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
-    looks[0] = replace(first, guesses=tuple(guesses))
-    notes = [line for look in looks for line in look.missing]
-    shown = Shown(html=page(looks, title="scenegen", notes=notes), looks=looks)
+    return replace(look, guesses=(*look.guesses, *guesses))
+
+
+def _open(shown: Shown, out: str | Path | None) -> Shown:
+    """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         write_result(Path(out), shown.html.encode())
     elif "ipykernel" not in sys.modules:
@@ -126,14 +155,14 @@ def show(
     return shown
 
 
-def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
+def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
     paper's."""
-    told = hasattr(found, "occupied")
-    parts = [found.occupancy_probability, found.tudf] if told else []
-    if not all(np.isfinite(part).all() for part in parts if part is not None):
+    is_prediction = hasattr(predicted, "occupied")
+    arrays = [predicted.occupancy_probability, predicted.tudf] if is_prediction else []
+    if not all(np.isfinite(array).all() for array in arrays if array is not None):
         raise DatasetError(f"{name}: holds NaN or infinity; expected a number in every voxel")
-    occupied = np.asarray(found.occupied() if told else found)
+    occupied = np.asarray(predicted.occupied() if is_prediction else predicted)
     if occupied.shape != grid.shape or occupied.dtype != bool:
         raise DatasetError(
             f"{name}: an array {occupied.dtype} {occupied.shape}; expected occupied voxels, bool "
@@ -141,7 +170,7 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
         )
     from scenegen.truth import distance_field  # which compiles
 
-    tudf = found.distance(None, grid) if told else distance_field(occupied, grid)
+    tudf = predicted.distance(None, grid) if is_prediction else distance_field(occupied, grid)
     return Guess(name=name, occupied=occupied, tudf=tudf)
 
 

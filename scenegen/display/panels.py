@@ -35,10 +35,11 @@ RED = rgb(SENSOR)
 MAP = "#1560bd"
 """The colour of a map's box where another one is drawn, too."""
 DPI, PAPER_DPI = 150, 400
+UNREAD = "could not be read"
 MOST_VECTORS = 100
 """Voxels that a file for print holds as shapes; more are drawn as pixels."""
-BESIDE, NAME = 1.15, 0.25
-"""Room for a bar and the names of rows beside panels, and for these names alone, inches."""
+BESIDE, LINE = 1.15, 0.25
+"""Room for a bar beside panels, and for a line of letters, inches."""
 WIDE, TALL = 3.05, 2.6
 """A panel with voxels, inches."""
 LEAST = 1.1
@@ -48,14 +49,29 @@ SMALLER = 0.4
 MOST_FACES = 400_000
 """The most faces of voxels in a panel: drawing these takes some ten seconds."""
 
-Place = tuple[float, float, float, float]
-"""Left, bottom, width and height as shares of a figure."""
+
+def legend_columns(wide: float, marks: int) -> int:
+    """Columns of a legend of so many marks below a figure, inches."""
+    return min(marks, max(1, int(wide / 1.75)))
 
 
-def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figure:
-    """A white figure, inches; matplotlib's own layouts would take longer than all that is drawn."""
-    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white")
-    figure.suptitle(title, color=INK, fontsize=12, y=1 - 0.12 / tall, va="top")
+def blank(
+    wide: float, tall: float, title: str, handles: Sequence[Any], dpi: int | None = None
+) -> Figure:
+    """A white figure, inches, with a legend of `handles` below; what is put into it finds its
+    place when it is drawn."""
+    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white", layout="compressed")
+    if title:
+        figure.suptitle(title, color=INK, fontsize=12)
+    figure.legend(
+        handles=list(handles),
+        loc="outside lower center",
+        ncols=legend_columns(wide, len(handles)),
+        fontsize=8,
+        frameon=False,
+        labelcolor=INK,
+        handlelength=3,
+    )
     return figure
 
 
@@ -98,9 +114,9 @@ def put_title(panel: Any, text: str) -> None:
     panel.set_title(text, color=INK, fontsize=10)
 
 
-def put_note(panel: Any, text: str) -> None:
-    """The words in the lower left corner of a panel, which its box leaves free."""
-    panel.text(0.02, 0.02, text, transform=panel.transAxes, color=SOFT, fontsize=8)
+def put_note(panel: Any, text: str, right: float = 0.02, up: float = 0.02) -> None:
+    """Words in a panel, by default in the lower left corner, which its box leaves free."""
+    panel.text(right, up, text, transform=panel.transAxes, color=SOFT, fontsize=8)
 
 
 def put_ball(
@@ -168,7 +184,7 @@ def draw_voxels(
     of `error_colours`. Raises DatasetError for more than a picture can hold.
     """
     if mask is None:
-        say_unread(panel)
+        put_note(panel, UNREAD, 0.35, 0.5)
         return
     corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
     if len(voxels) > MOST_FACES:
@@ -185,11 +201,6 @@ def draw_voxels(
     panel.add_collection(
         PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
     )
-
-
-def say_unread(panel: Any) -> None:
-    """Says in a panel that what belongs there could not be read."""
-    panel.text(0.5, 0.5, "could not be read", transform=panel.transAxes, ha="center", color=SOFT)
 
 
 def frame_box(
@@ -209,37 +220,30 @@ def frame_box(
     corners = np.concatenate([hidden, front]).reshape(-1, 2)
     span = np.ptp(corners, axis=0).max()
     if ticks:
-        _put_ticks(panel, low, high, 0.035 * span, view)
+        _put_axes(panel, low, high, 0.09 * span, view)
     room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
     panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
-    panel.set_axis_off()
+    panel.set(xticks=[], yticks=[], frame_on=False)
 
 
-def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
-    """Numbers along an edge of each axis, and its name in their middle."""
-    for axis, way in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
-        least, most = low[axis], high[axis]
-        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(least, most)
-        marks = marks[(marks >= least - 1e-9) & (marks <= most + 1e-9)]
-        told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
-        # of the height above its edge, where no number stands
-        middle = ((least + most) / 2, 2.6 * apart) if axis < 2 else (most + 2 * apart, 0)
-        told.append((*middle, f"{'xyz'[axis]} / m", 8))
-        for place, out, text, size in told:
-            point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
-            point[axis] = place
-            at = view.project(point) + out * np.array(way)
-            panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
+def _put_axes(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
+    """The name and the ends of each axis, metres, at the middle of an edge."""
+    for axis, outwards in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
+        point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
+        point[axis] = (low[axis] + high[axis]) / 2
+        text = f"{'xyz'[axis]} / m\n{low[axis]:.1f} … {high[axis]:.1f}"
+        at = view.project(point) + apart * np.array(outwards)
+        panel.text(*at, text, ha="center", va="center", fontsize=7, color=INK, zorder=8)
 
 
-def add_bar(
-    figure: Figure, place: Place, anchors: Anchors, ends: tuple[float, float], label: str
-) -> None:
-    """A colour bar at `place`."""
-    shades = LinearSegmentedColormap.from_list("", [rgb(one) for one in anchors])
-    bar = figure.colorbar(ScalarMappable(Normalize(*ends), shades), cax=figure.add_axes(place))
+def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
+    """A colour bar beside some panels of a figure."""
+    shades = LinearSegmentedColormap.from_list("", [rgb(anchor) for anchor in anchors])
+    values = ScalarMappable(Normalize(*ends), shades)
+    panels = np.atleast_1d(panels).ravel().tolist()
+    bar = panels[0].figure.colorbar(values, ax=panels, shrink=0.7, aspect=25)
     bar.set_label(label, color=INK, fontsize=8)
     bar.ax.tick_params(labelsize=8, colors=INK)
 
@@ -252,24 +256,6 @@ def ball(label: str, colour: Any = RED, marker: str = "o") -> Line2D:
 def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") -> Line2D:
     """A line, for a legend."""
     return Line2D([], [], color=colour, linewidth=width, linestyle=style, label=label)
-
-
-def legend_columns(wide: float, marks: int) -> int:
-    """Columns of a legend of so many marks below a figure, inches."""
-    return min(marks, max(1, int(wide / 1.75)))
-
-
-def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
-    """What marks mean, at the lower end."""
-    figure.legend(
-        handles=list(handles),
-        loc="lower center",
-        ncols=legend_columns(figure.get_figwidth(), len(handles)),
-        fontsize=8,
-        frameon=False,
-        labelcolor=INK,
-        handlelength=3,
-    )
 
 
 def across(most: int, width: float | None) -> int:
@@ -306,35 +292,24 @@ class Grid:
                 )
             scale = (width - BESIDE) / (WIDE * columns)
         wide = width or max(scale * WIDE * columns + BESIDE, 6.5)
-        below = 0.2 + 0.2 * -(-len(handles) // legend_columns(wide, len(handles)))
-        letters = 0.25 if width else 0.0  # for print they stay as large, and need room of their own
-        tall = (scale * TALL + letters) * rows + below + (0.45 if title else 0.2)
-        self.figure = blank(wide, tall, title)
-        add_legend(self.figure, handles)
-        self.right = 1 - (BESIDE - NAME) / wide
-        room = {"left": NAME / wide, "right": self.right, "bottom": below / tall}
-        room["top"] = 1 - (0.6 if title else 0.25) / tall
-        self.panels = self.figure.subplots(
-            rows,
-            columns,
-            squeeze=False,
-            gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08 + letters / (scale * TALL)},
-        )
+        lines = 2 + -(-len(handles) // legend_columns(wide, len(handles)))
+        tall = (scale * TALL + (LINE if width else 0)) * rows + LINE * lines
+        self.figure = blank(wide, tall, title, handles)
+        bare = {"xticks": [], "yticks": [], "frame_on": False}
+        self.panels = self.figure.subplots(rows, columns, squeeze=False, subplot_kw=bare)
         if self.turned:
             self.panels = self.panels.T
-        for panel in self.panels.flat:
-            panel.set_axis_off()
 
     def level(
-        self, row: int, column: int, look: Look, level: int, tudf: Any, title: str | None = None
+        self, row: int, column: int, look: Look, level: int, tudf: Any, title: str = ""
     ) -> None:
         """Draws one level of distances `tudf` (X, Y, Z) in a panel, x right and y up, in metres of
         the world."""
-        panel = self.panels[row, column].inset_axes((0.2, 0.15, 0.73, 0.74))
-        z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
-        put_title(panel, f"distances at z = {z:.2f} m" if title is None else title)
+        panel = self.panels[row, column]
+        z = height_of(look, level)
+        put_title(panel, title)
         if tudf is None:
-            say_unread(panel)
+            put_note(panel, UNREAD, 0.35, 0.5)
             return
         (left, down, _), (right, up, _) = look.corners
         shades = colour(tudf[:, :, level].T / look.grid.truncation_m, DISTANCES)
@@ -343,8 +318,11 @@ class Grid:
         )
         if abs(z - look.position[2]) <= look.grid.voxel_m:
             put_ball(panel, look.position[:2])
-        panel.set_xlabel("x / m", color=INK, fontsize=8)
-        panel.set_ylabel("y / m", color=INK, fontsize=8)
+        panel.set_frame_on(True)
+        for axis, name in ((panel.xaxis, "x / m"), (panel.yaxis, "y / m")):
+            axis.set_major_locator(MaxNLocator(4))
+            above = f"{axis.get_label_text()}\n".lstrip()  # the name of the row
+            axis.set_label_text(above + name, color=INK, fontsize=8)
         panel.tick_params(labelsize=8, colors=INK)
 
     def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
@@ -357,43 +335,36 @@ class Grid:
         self._bar(DISTANCES, look.grid.truncation_m, "distance / m", row)
 
     def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
-        beside = self.panels if row is None or self.turned else self.panels[row]
-        down = beside.flat[-1].get_position().y0
-        high = beside.flat[0].get_position().y1 - down
+        beside = self.panels if row is None else self.panels[row]
         if self.turned and row is not None:  # one bar above the other
-            high /= 2
-            down += (1 - row) * high
-        left = self.right + 0.15 * (1 - self.right)
-        wide = 0.14 * (1 - self.right)
-        add_bar(self.figure, (left, down + 0.1 * high, wide, 0.8 * high), anchors, (0, most), label)
+            middle = -(-len(beside) // 2)
+            beside = self.panels.T[:middle] if row == 0 else self.panels.T[middle:]
+        add_bar(beside, anchors, (0, most), label)
+
+    def name(self, columns: Sequence[str], rows: Sequence[str]) -> None:
+        """The words above the columns, and left of the rows."""
+        for panel, text in zip(self.panels[0], columns, strict=True):
+            self._name(panel, text, above=not self.turned)
+        for row, text in enumerate(rows):
+            self.name_row(row, text)
 
     def name_row(self, row: int, text: str) -> None:
         """The words left of a row."""
         self._name(self.panels[row, 0], text, above=self.turned)
 
-    def name_columns(self, names: Sequence[str]) -> None:
-        """The words above each column."""
-        for panel, text in zip(self.panels[0], names, strict=True):
-            self._name(panel, text, above=not self.turned)
-
     def _name(self, panel: Any, text: str, *, above: bool) -> None:
         if above:
             put_title(panel, plain(text))
-            return
-        place = panel.get_position()
-        self.figure.text(
-            0.5 * NAME / self.figure.get_figwidth(),
-            (place.y0 + place.y1) / 2,
-            plain(text),
-            rotation=90,
-            va="center",
-            ha="center",
-            fontsize=9,
-            color=INK,
-        )
+        else:
+            panel.set_ylabel(plain(text), color=INK, fontsize=9)
 
 
 def at_sensor(look: Look) -> int:
     """The level of voxels just below the sensor."""
     height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
     return int(np.clip(height, 0, look.grid.shape[2] - 1))
+
+
+def height_of(look: Look, level: int) -> float:
+    """The height of the middle of a level of voxels in the world, metres."""
+    return float(look.origin[2] + (level + 0.5) * look.grid.voxel_m)

@@ -2,7 +2,8 @@
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec
 from lidarsim.sensors.device import angles_deg
+from scenegen.clouds import ReadReport, read_cloud
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
 from scenegen.display.oblique import VIEW, View, box_edges
@@ -21,11 +23,11 @@ from scenegen.display.panels import (
     Grid,
     across,
     add_bar,
-    add_legend,
     ball,
     blank,
     draw_panel,
     frame_box,
+    height_of,
     line,
     plain,
     put_ball,
@@ -50,8 +52,6 @@ PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
-DOTS = {"cmap": "viridis", "linewidths": 0, "antialiased": False}
-"""How the rays of a pattern look."""
 CUT, PLAIN = 0.3, 0.88
 """Greys of solids where the picture cuts through them, and of planes."""
 
@@ -75,8 +75,9 @@ def draw_sample(
         draw_panel(panel, look, name, name, ticks=not width)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
-    for n, level in enumerate(levels):
-        grid.level(1, n, look, level, look.tudf)
+    for column, level in enumerate(levels):
+        title = f"distances at z = {height_of(look, level):.2f} m"
+        grid.level(1, column, look, level, look.tudf, title)
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
     return grid.figure
@@ -96,40 +97,35 @@ def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None)
 def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
     """Draws a turntable as an animated picture: occupied voxels and returns, seen from all sides.
     Raises DatasetError as `draw_voxels`."""
-    turns = [VIEW.azimuth + 2 * math.pi * turn / frames for turn in range(frames)]
-    return _film([(look, View(azimuth=turn), title) for turn in turns], TURN_S / frames, suffix)
+    turns = VIEW.azimuth + np.linspace(0, 2 * math.pi, frames, endpoint=False)
+    pictures = [_frame(look, View(azimuth=float(turn)), title) for turn in turns]
+    return _film(pictures, TURN_S / frames, suffix)
 
 
 def draw_flight(looks: Sequence[Look], *, title: str, suffix: str) -> bytes:
     """Draws the samples of a flight one after the other, as an animated picture. Raises
     DatasetError as `draw_voxels`."""
-    return _film([(look, VIEW, f"{title}, {look.name}") for look in looks], STAY_S, suffix)
+    pictures = [_frame(look, VIEW, f"{title}, {look.name}") for look in looks]
+    return _film(pictures, STAY_S, suffix)
 
 
-def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str) -> bytes:
-    """An animated picture of samples from views, with titles, each shown for a while."""
+def _frame(look: Look, view: View, title: str) -> Any:
+    """A picture of a film, in which a map has the same size however it is turned."""
     from PIL import Image
 
-    pictures = []
-    for look, view, title in frames:
-        low, high = look.corners
-        # half the width of the box on the paper, however it is turned, and half its height there
-        *flat, up = look.grid.extent_m / 2
-        wide = math.hypot(*flat)
-        tall = wide * math.sin(view.elevation) + up * math.cos(view.elevation)
-        reach = 1.03 * max(wide, tall / 0.75)
-        figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
-        panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
-        _with_returns(panel, look, view, 1.2, "")
-        across, upward = view.project((low + high) / 2)
-        # the same in every picture
-        panel.set(
-            xlim=(across - reach, across + reach),
-            ylim=(upward - 0.75 * reach, upward + 0.75 * reach),
-        )
-        add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
-        add_legend(figure, MARKS)
-        pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
+    low, high = look.corners
+    figure = blank(6.4, 4.8, title, MARKS, dpi=TURN_DPI)
+    panel = figure.subplots()
+    _with_returns(panel, look, view, 1.2, "")
+    middle, reach = view.project((low + high) / 2), 1.03 * math.hypot(*look.grid.extent_m) / 2
+    limits = np.array([middle, middle]) + reach * np.array([[-1, -0.75], [1, 0.75]])
+    panel.set(xlim=limits[:, 0], ylim=limits[:, 1])
+    add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
+    return Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
+
+
+def _film(pictures: Sequence[Any], pause_s: float, suffix: str) -> bytes:
+    """An animated picture, each picture of which is shown for a while."""
     file = io.BytesIO()
     pictures[0].save(
         file,
@@ -151,38 +147,44 @@ def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
 
 
-def _landscape(title: str, low: Floats, high: Floats) -> tuple[Figure, Any]:
+def _landscape(title: str, low: Floats, high: Floats, handles: Sequence[Any]) -> tuple[Figure, Any]:
     """A figure with one wide panel, a box in it, and a bar of heights."""
-    figure = blank(9, 6.6, title)
-    panel = figure.add_axes((0.01, 0.05, 0.86, 0.88))
+    figure = blank(9, 6.6, title, handles)
+    panel = figure.subplots()
     frame_box(panel, low, high)
-    add_bar(figure, (0.9, 0.2, 0.016, 0.6), HEIGHTS, (low[2], high[2]), "height / m")
+    add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
     return figure, panel
 
 
-def draw_cloud(points: Floats, *, title: str) -> Figure:
-    """Draws a scan that belongs to no dataset, with the usual map's box around the sensor.
+def draw_scan(
+    path: Path, columns: int | None = None, report: Callable[[object], None] = lambda line: None
+) -> Figure:
+    """Draw a scan that belongs to no dataset, with the usual map's box around the sensor.
 
     Args:
-        points: Returns (N, 3), metres, the sensor at the origin; NaN where a ray met nothing.
-        title: The words above it.
+        path: The file.
+        columns: See `read_cloud`.
+        report: Called with a line on how the file was read.
 
     Raises:
-        DatasetError: Nothing returned.
+        DatasetError: The file holds no scan, or nothing returned.
     """
-    points = points[np.isfinite(points).all(axis=1)]
+    cloud, counts = read_cloud(path, columns=columns), ReadReport()
+    counts.add(len(cloud.points), cloud.layout, 0)
+    report(counts)
+    points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
     if not len(points):
-        raise DatasetError(f"{title}: no point of it is a return")
+        raise DatasetError(f"{path}: no point of it is a return")
     points = points[:: -(-len(points) // MOST_DRAWN)]
     half = np.array(GridSpec().extent_m) / 2
     low, high = np.minimum(points.min(axis=0), -half), np.maximum(points.max(axis=0), half)
-    figure, panel = _landscape(title, low, high)
+    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
+    around = line(f"a map of {size} m around it", MAP, 1.2)
+    handles = [ball("sensor"), around, line("the box of all points")]
+    figure, panel = _landscape(plain(path.name), low, high, handles)
     put_points(panel, points, low[2], high[2], max(0.3, min(4.0, 2e4 / len(points))))
     put_box(panel, -half, half)
     put_ball(panel, VIEW.project(np.zeros(3)))
-    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
-    around = line(f"a map of {size} m around it", MAP, 1.2)
-    add_legend(figure, [ball("sensor"), around, line("the box of all points")])
     return figure
 
 
@@ -191,16 +193,28 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     dark for the first to light for the last in time. Degrees; azimuth grows to the left, as for the
     body."""
     angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
-    talls = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) for up, around in angles]
-    height = sum(talls) + 0.7 * len(talls)
-    figure = Figure(figsize=(6.4, height), dpi=100, layout="constrained")
-    panels = figure.subplots(len(talls), squeeze=False, height_ratios=talls)[:, 0]
+    heights = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) + 0.7 for up, around in angles]
+    figure = Figure(figsize=(6.4, sum(heights)), dpi=100, layout="constrained")
+    panels = figure.subplots(len(heights), squeeze=False, height_ratios=heights)[:, 0]
     for panel, (name, sensor), (up, around) in zip(panels, sensors.items(), angles, strict=True):
-        panel.scatter(around, up, s=1, c=sensor.times_s.reshape(-1), **DOTS)
+        panel.scatter(around, up, s=1, c=sensor.times_s.ravel(), cmap="viridis", linewidths=0)
         panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=plain(name))
         panel.invert_xaxis()
         panel.grid(alpha=0.4)
     return figure
+
+
+def draw_world_file(path: Path, seed: int | None = None) -> Figure:
+    """Draw the world of an MJCF file or a mesh, and, by a seed, a random flight in it."""
+    # these compile; pictures of samples do without them
+    from scenegen.source import read_world
+    from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.world import solid
+
+    world = solid(read_world(path), str(path))
+    poses = [] if seed is None else poses_in_flight(world, seed=seed)
+    places = np.stack([pose.position for pose in poses]) if poses else None
+    return draw_world(world, title=plain(path.name), places=places, joined=True)
 
 
 def draw_world(
@@ -228,19 +242,20 @@ def draw_world(
     bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
     low[2] = min([low[2], *bounded[:, 2], *world.solids.triangles.reshape(-1, 3)[:, 2]])
     image, extent = see(world, low, high)
-    figure, panel = _landscape(title, low, high)
+    handles = [line("the flight's box, down to the ground")]
+    if box is not None:
+        handles.insert(0, line("the map's box", MAP, 1.4))
+    if places is not None:
+        handles.insert(0, ball("viewpoints"))
+    figure, panel = _landscape(title, low, high, handles)
     limits = panel.axis()
     panel.imshow(image, origin="lower", extent=extent, zorder=2)
     panel.axis(limits)  # imshow sets its own
-    handles = [line("the flight's box, down to the ground")]
     if box is not None:
         put_box(panel, *box)
-        handles.insert(0, line("the map's box", MAP, 1.4))
     if places is not None:
         panel.plot(*VIEW.project(places).T, color=RED, linewidth=float(joined), zorder=6)
         put_ball(panel, VIEW.project(places), size=24)
-        handles.insert(0, ball("viewpoints"))
-    add_legend(figure, handles)
     return figure
 
 
@@ -267,11 +282,12 @@ def see(
     flat = across.reshape(-1, 1) * VIEW.right + upward.reshape(-1, 1) * VIEW.up
     faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])  # of the planes, eyewards
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
-    met = np.flatnonzero(begin > end)
+    met = begin > end
     image = np.ones((len(flat), 3))
-    if len(met):  # a box without height has none
+    if met.any():  # a box without height has none
+        starts = flat[met] + begin[met, None] * VIEW.eye
         reach = float((begin - end)[met].max()) + 1.0
-        image[met] = _shades(world, flat[met] + begin[met, None] * VIEW.eye, reach, low[2], high[2])
+        image[met] = _shades(world, starts, reach, low[2], high[2])
     return image.reshape(*across.shape, 3), (left, right, down, up)
 
 
@@ -283,12 +299,12 @@ def _shades(world: "World", starts: Floats, reach: float, low: float, high: floa
     away = np.broadcast_to(-VIEW.eye, (len(starts), 1, 3)).copy()
     hits = AnalyticEngine.of(world.model, world.data).hits(starts, away, reach)
     seen = hits.geoms[:, 0] >= 0
-    points, normals, geoms = (found[seen, 0] for found in (hits.points, hits.normals, hits.geoms))
+    points, normals, geoms = (part[seen, 0] for part in (hits.points, hits.normals, hits.geoms))
     shades = colour((points[:, 2] - low) / max(high - low, 1e-9), HEIGHTS)
     planes = world.solids.geom[: len(world.solids.shape)][world.solids.shape == PLANE]
     shades[np.isin(geoms, planes)] = PLAIN
     shades *= 0.62 + 0.38 * np.abs(normals @ SUN)[:, None]
     shades[normals @ VIEW.eye < 0] = CUT  # the ray began inside
-    found = np.ones((len(starts), 3))
-    found[seen] = shades
-    return found
+    image = np.ones((len(starts), 3))
+    image[seen] = shades
+    return image

@@ -167,27 +167,27 @@ class Recording:
         }
         return (json.dumps(text | vars(self) | {"courses": found}) + "\n").encode()
 
-    @classmethod
-    def read(cls, path: Path) -> "Recording":
-        """Raises DatasetError for a file that is no recording."""
-        try:
-            text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
-            if text["format"] != FORMAT:
-                raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
-            courses = []
-            for one in text["courses"]:
-                about = dict(one["course"])
-                parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
-                course, flights = Course(**about | parts), [*map(_flown, one["flights"])]
-                if len(flights) != course.flights:
-                    raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
-                courses.append((course, flights))
-            names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
-            suite, whole = text["suite"], bool(text.get("complete"))
-            return cls(suite=suite and printable(suite), complete=whole, courses=courses, **names)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            said = f"{type(error).__name__}: {printable(error)}"[:200]
-            raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
+
+def read_recording(path: Path) -> Recording:
+    """Read what `Recording.encoded` wrote. Raises DatasetError for a file that is no recording."""
+    try:
+        text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
+        if text["format"] != FORMAT:
+            raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
+        courses = []
+        for one in text["courses"]:
+            about = dict(one["course"])
+            parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
+            course, flights = Course(**about | parts), [*map(_flown, one["flights"])]
+            if len(flights) != course.flights:
+                raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
+            courses.append((course, flights))
+        names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
+        suite, whole = text["suite"], bool(text.get("complete"))
+        return Recording(suite=suite and printable(suite), complete=whole, courses=courses, **names)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        said = f"{type(error).__name__}: {printable(error)}"[:200]
+        raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
 
 
 def _flown(row: Json) -> Flown:

@@ -19,8 +19,6 @@ from scenegen.errors import DatasetError, printable
 from scenegen.logs.frames import Links
 from scenegen.logs.messages import CLOUD, POINT_TYPES, TRANSFORMS
 
-RECORDINGS = (".mcap", ".bag", ".db3")
-"""Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 FRAMES = (TRANSFORMS, "tf/msg/tfMessage")
 """What is on /tf; the second is of old recordings of ROS 1."""

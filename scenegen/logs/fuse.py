@@ -53,7 +53,7 @@ origin; which are observed or free; and the returns (N, 3), from the sensor, alo
 metres, see `are_returns`."""
 
 
-def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> Counter[str]:
+def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> Counter[str]:
     """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder
     `out`. Until all is there, it is called as `out` with ``.part`` behind: where a run was stopped
     or killed, or met a scan that cannot be read, the same call goes on from what it saved last, to
@@ -80,7 +80,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
     with disk_told(out):
-        run = _Run(log, how, unfinished, on_scan)
+        run = _Run(log, how, unfinished, on_done)
         try:
             run.write()
         except SceneError:
@@ -96,10 +96,10 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
 class _Run:
     """A log that becomes maps in a folder, which holds what a run that goes on needs."""
 
-    def __init__(self, log: Log, how: Fusing, folder: Path, on_scan: Counted):
+    def __init__(self, log: Log, how: Fusing, folder: Path, on_done: Counted):
         """Begins, or goes on from what was saved in `folder`. Raises DatasetError where that is not
         of this log."""
-        self._log, self._how, self._folder, self._on_scan = log, how, folder, on_scan
+        self._log, self._how, self._folder, self._on_done = log, how, folder, on_done
         poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
         self._key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
         """What tells the log and how it is fused from others."""
@@ -125,7 +125,7 @@ class _Run:
             self._save()
         self._saved_s = time.monotonic()
         self._scans = log.scans(self._scan)
-        on_scan(self._scan)
+        on_done(self._scan)
 
     def _save(self) -> None:
         progress = {
@@ -207,7 +207,7 @@ class _Run:
                 }
                 write_whole(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
-            self._on_scan(1)
+            self._on_done(1)
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
         self._counts = NOTHING

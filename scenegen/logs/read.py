@@ -14,9 +14,10 @@ from lidarsim.grid import Floats
 from lidarsim.pose import chained
 from scenegen.clouds import KITTI_FOLDER, READERS, read_cloud, scans_in
 from scenegen.errors import DatasetError, raised_as
-from scenegen.logs.bags import RECORDINGS, Contents, Reader, Recording
+from scenegen.logs.bags import Contents, Reader, Recording
 from scenegen.logs.frames import pose_at
 from scenegen.logs.log import Log, make_log, span
+from scenegen.paths import RECORDINGS, kitti_poses, recordings_in
 from scenegen.poses import (
     BEYOND_S,
     MIN_UNIX_S,
@@ -43,25 +44,6 @@ NAMED_TIME = re.compile(rf"(\d+){FRACTION}")
 NAMED_SINCE_1970 = re.compile(rf"(?<!\d)([1-9]\d{{9,}}){FRACTION}")
 """The time in the name of a cloud, such as that of nuScenes: n008…__LIDAR_TOP__1532402927647951."""
 PosesOf: TypeAlias = Literal["sensor", "camera"]
-
-
-def is_log(path: Path) -> bool:
-    """Whether there is a log with poses of its own at `path`, as far as names tell."""
-    if not path.is_dir():
-        return path.suffix in RECORDINGS
-    beside = (path / BAG, path / "poses.txt", _kitti_poses(path))
-    return any(file.exists() for file in beside) or bool(_recordings_in(path))
-
-
-def _kitti_poses(sequence: Path) -> Path:
-    """Where KITTI's own archives have the poses of a sequence."""
-    return sequence.parent.parent / "poses" / f"{sequence.name}.txt"
-
-
-def _recordings_in(folder: Path) -> list[Path]:
-    """The recordings in a folder that holds no clouds."""
-    recordings = sorted(file for file in folder.iterdir() if file.suffix in RECORDINGS)
-    return [] if recordings and scans_in(folder) else recordings
 
 
 def read_log(
@@ -98,7 +80,7 @@ def read_log(
         )
     beside = path / "poses.txt"
     if not beside.exists():  # as KITTI's own archives have it
-        beside = _kitti_poses(path)
+        beside = kitti_poses(path)
     recording = _recording_at(path) if poses or not beside.exists() else None
     if recording is not None:
         if poses_of or columns:
@@ -124,7 +106,7 @@ def _recording_at(path: Path) -> Path | None:
     folder holds none. Raises DatasetError if it holds several."""
     if not path.is_dir() or (path / BAG).exists():
         return path
-    recordings = _recordings_in(path)
+    recordings = recordings_in(path)
     if len(recordings) > 1:
         raise DatasetError(
             f"{path}: holds {len(recordings)} recordings and no {BAG} that joins them; name one of "

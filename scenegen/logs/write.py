@@ -27,14 +27,14 @@ CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "T
 """A KITTI calibration whose camera is the sensor: poses are the sensor's own."""
 
 
-def write_log(out: Path, scans: Iterable[LogScan], on_scan: Counted = unheard) -> dict[str, int]:
+def write_log(out: Path, scans: Iterable[LogScan], on_done: Counted = unheard) -> dict[str, int]:
     """Write a log, whole or not at all: a file where `out` ends in .mcap, a folder otherwise.
 
     A folder holds ``velodyne/000000.bin`` (x, y, z, intensity as float32; intensity is 0 where none
     is known), ``times.txt``, ``poses.txt`` and ``calib.txt`` as KITTI has them (Geiger et al.
     2012), in the world's frame, and the same poses as ``poses.tum`` (time, position, quaternion x,
     y, z, w). A file has PointCloud2 on ``/points``, with `ring`, `t` and `intensity` where known,
-    and the sensor's transforms in the world on ``/tf``. `on_scan` is called with 1 for each.
+    and the sensor's transforms in the world on ``/tf``. `on_done` is called with 1 for each.
 
     Returns:
         How many `scans` and `returns` were written.
@@ -49,7 +49,7 @@ def write_log(out: Path, scans: Iterable[LogScan], on_scan: Counted = unheard) -
             yield scan
             counts["scans"] += 1
             counts["returns"] += len(scan.points)
-            on_scan(1)
+            on_done(1)
 
     if out.suffix != ".mcap":
         with whole_folder(out) as folder:

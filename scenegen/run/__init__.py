@@ -6,7 +6,7 @@ wherever they run.
 
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import Any, Protocol
 
 from lidarsim.registry import Registry
@@ -34,6 +34,33 @@ def chunked(items: Sequence[Any], size: int) -> list[Any]:
 
 def unheard(samples: int) -> None:
     """Where nobody wants to be told."""
+
+
+def counted(
+    execute: "Executor",
+    function: Function,
+    tasks: Sequence[Any],
+    *,
+    total: int,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
+    size: Callable[[Any], int] = len,
+) -> Iterator[Any]:
+    """Yield the results of `tasks` as they come, and report progress.
+
+    Args:
+        execute: Where the tasks run.
+        function: What is applied to each task.
+        tasks: The tasks.
+        total: The number of samples in all tasks.
+        on_start: Called with `total` once the work has begun.
+        on_done: Called with the number of samples of each result.
+        size: Gives the number of samples of a result.
+    """
+    with closing(execute(function, tasks, lambda: on_start(total))) as results:
+        for result in results:
+            on_done(size(result))
+            yield result
 
 
 class Executor(Protocol):

@@ -23,7 +23,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, VERSION
 from scenegen.dataset.selection import kept_measures, measures_file
 from scenegen.display.inspect import inspect
-from scenegen.display.look import looks, spread
+from scenegen.display.look import evenly, looks
 from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError, raised_as, short
 from scenegen.files import make_parent, real_path, whole_folder, write_whole
@@ -205,14 +205,16 @@ def _draw(dataset: Dataset, draft: Path) -> str:
     """Draw a few evenly spread samples, where matplotlib is installed, and write a page of some
     more, unless no browser takes such grids. Returns what shows them in the card."""
     split = next(name for name in SPLITS if len(dataset.split(name)))
-    shown, notes = looks(dataset, split, spread(dataset, split, ON_PAGE))
+    shown, notes = looks(dataset, split, evenly(len(dataset.split(split)), ON_PAGE))
     parts = []
     if find_spec("matplotlib") is not None:
         from scenegen.display.panels import to_bytes
         from scenegen.display.pictures import draw_sample
 
         (draft / "pictures").mkdir()
-        for number, look in enumerate(looks(dataset, split, spread(dataset, split, SHOWN))[0]):
+        for number, look in enumerate(
+            looks(dataset, split, evenly(len(dataset.split(split)), SHOWN))[0]
+        ):
             name = f"pictures/{split}-{number}.png"
             write_whole(draft / name, to_bytes(draw_sample(look), ".png"))
             parts.append(f"![{look.name}]({name})")

@@ -19,11 +19,11 @@ from scenegen.errors import DatasetError, RecipeError, SceneError, short
 from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.mixture import fraction
+from scenegen.paths import WORLD_FILES
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes, world_files
 from scenegen.streams.ahead import Slot
-from scenegen.worlds import WORLD_FILES
 
 LEAST_SCENES = 3
 """Worlds that a folder holds at least: one a split."""

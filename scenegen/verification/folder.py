@@ -1,7 +1,6 @@
 """`verify` holds a dataset folder against the contract: every shard is walked in a process of its
 own, then the whole is."""
 
-import os
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -135,7 +134,7 @@ MEMORY_BYTES = 6 << 30
 
 
 def verify(
-    dataset: str | os.PathLike[str],
+    dataset: Any,
     *,
     quick: bool = False,
     seed: int = 0,

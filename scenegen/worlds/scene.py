@@ -17,7 +17,7 @@ from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.worlds import CLOUDS, MAPS, MESHES, WORLD_FILES
+from scenegen.paths import CLOUDS, MAPS, MESHES, WORLD_FILES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf

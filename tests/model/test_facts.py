@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import scenegen
 from scenegen.display.exchange.files import write_points
+from scenegen.errors import DatasetError
 from tests.command_line import done, refused, run
+from tests.scenegen.display.test_page import Seen
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
 ROWS = """epoch,train_loss,val_loss,val_iou,val_near_mae,val_new
@@ -65,6 +68,18 @@ def test_scans_completions_of_them_and_runs_are_drawn(here, capsys, monkeypatch)
         assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", ""), name
         assert (here / "x.png").read_bytes().startswith(b"\x89PNG")
         (here / "x.png").unlink()
+
+
+def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
+    done(capsys, f"view {here}/done.h5 -o {here}/page.html")
+    samples = Seen((here / "page.html").read_text(encoding="utf-8")).data()["samples"]
+    shown = scenegen.show(here / "done.h5", out=here / "shown.html")
+    assert [sample["name"] for sample in samples] == [look.name for look in shown.looks] == ["done"]
+    pictured = scenegen.show(str(here / "scan.pcd"), out=here / "picture.html")
+    assert (pictured.looks, repr(pictured)) == ((), "<Shown: a picture>")
+    assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
+    with pytest.raises(DatasetError, match="weights"):
+        scenegen.show(here / "shard.safetensors")
 
 
 def test_files_that_are_none_of_these_end_in_one_line(here, capsys):

@@ -2,7 +2,6 @@
 where it was."""
 
 from collections.abc import Sequence
-from contextlib import closing
 from copy import copy
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,7 +13,7 @@ from scenegen.display.exchange import FORMATS, Choices
 from scenegen.display.exchange.files import Classed, OneEach
 from scenegen.errors import DatasetError, printable, raised_as
 from scenegen.files import claim, make_parent, remove_drafts, write_whole
-from scenegen.run import Counted, Executor, chunked, unheard
+from scenegen.run import Counted, Executor, chunked, counted, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample
 
@@ -48,7 +47,7 @@ def convert(
     splits: Sequence[str],
     execute: Executor = ALONE,
     on_start: Counted = unheard,
-    on_sample: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> Converted:
     """Writes every sample of some splits in another format.
 
@@ -63,7 +62,7 @@ def convert(
         splits: Names of the splits.
         execute: What does the work.
         on_start: Called with the number of samples when the work begins.
-        on_sample: Called with the number of samples done.
+        on_done: Called with the number of samples done.
 
     Raises:
         DatasetError: There is no such format, `out` holds another conversion, or the disk refuses.
@@ -94,11 +93,17 @@ def convert(
     there, broken = 0, dict[Rows, list[str]]()
     work = partial(_write, dataset, out, form)
     try:
-        with closing(execute(work, tasks, lambda: on_start(total))) as results:
-            for rows, count, wrong in results:
-                there += count
-                broken[rows] = wrong
-                on_sample(len(rows.numbers))
+        for rows, count, wrong in counted(
+            execute,
+            work,
+            tasks,
+            total=total,
+            on_start=on_start,
+            on_done=on_done,
+            size=lambda result: len(result[0].numbers),
+        ):
+            there += count
+            broken[rows] = wrong
     finally:
         for folder in out.glob("**/"):  # what killed runs have left
             remove_drafts(folder)
@@ -120,7 +125,7 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
             there += len(numbers)
             continue
         sensor = samples.home(numbers[0]).lidar
-        found, lines = list[tuple[int, Sample]](), list[str]()
+        chosen, lines = list[tuple[int, Sample]](), list[str]()
         for number in numbers:
             try:
                 sample = samples[number]
@@ -129,14 +134,14 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
                     copy(sample)  # reads every field, so that none fails among those of others
                 else:
                     contents = form.encode(sample, dataset.grid, sensor)
-                found.append((number, sample))
+                chosen.append((number, sample))
             except (DatasetError, ValueError) as error:
                 lines.append(f"{rows.split} {number} is left out: {printable(error)}")
         broken += lines
-        if not found:
+        if not chosen:
             continue
         if together:
-            contents = form.encode(found, dataset.grid, sensor)
+            contents = form.encode(chosen, dataset.grid, sensor)
         several = (contents,) if isinstance(contents, bytes) else contents
         files = dict(zip(paths, several, strict=True))
         if lines:  # before the others, so that the next run makes them again

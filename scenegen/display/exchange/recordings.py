@@ -75,11 +75,11 @@ def _entities(sample: Sample, grid: GridSpec, lidar: Sensor) -> dict[str, tuple[
     centres, half = grid.centres(sample.origin), grid.voxel_m / 2
     shades = (255 * colour(np.linspace(0, 1, grid.shape[2]), HEIGHTS)).astype(np.uint8)
     heights = np.broadcast_to(shades, (*grid.shape, 3))
-    found = {
+    entities = {
         "scan": (sample.points(lidar), MISSED, half / 4),
         "sensor": (sample.position[None], SENSOR, half),
     }
     for name in MASKS:
         mask = getattr(sample, name)
-        found[name] = centres[mask], FREE if name == "free" else heights[mask], half
-    return found
+        entities[name] = centres[mask], FREE if name == "free" else heights[mask], half
+    return entities

@@ -3,8 +3,6 @@
 import gc
 import resource
 import warnings
-from contextlib import nullcontext
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -15,8 +13,9 @@ from numpy.testing import assert_allclose
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
+from scenegen.model.commands.complete import complete_scans
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.completion.scans import complete_all, predict_scan, read_scan
+from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
 from tests.model.conftest import completer_of
@@ -34,11 +33,17 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     monkeypatch.setattr("scenegen.model.completion.predictions.stem_of", "{0}-0xx/{0}-{1}".format)
     dataset = Dataset(folders[1])
     net = completer_of(tmp_path / "net.safetensors", dataset.grid, variant=variant)
-    told = []
-    shown = nullcontext(SimpleNamespace(start=told.append, count=told.append))
+    counts = []
     for _ in range(2):
-        predict_split(net, folders[1], "test", tmp_path / "p", progress=lambda label: shown)
-    assert told == [5, 2, 2, 1, 0]
+        predict_split(
+            net,
+            folders[1],
+            "test",
+            tmp_path / "p",
+            on_start=counts.append,
+            on_done=counts.append,
+        )
+    assert counts == [5, 2, 2, 1, 0]
     method = Predicted(tmp_path / "p")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
@@ -140,7 +145,7 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp
         with pytest.raises(DatasetError, match=r"(json|h5): File too large"):
             predict_split(net, folders[0], "train", tmp_path / "p")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
-            complete_all(net, (2, [("s", lambda: given), ("t", lambda: given)]), tmp_path, 1, True)
+            complete_scans(net, 2, [("s", lambda: given), ("t", lambda: given)], tmp_path, True)
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -11,11 +11,10 @@ from PIL import Image
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.pose import rotate
-from scenegen.cli.show import silent
 from scenegen.display.colours import SENSOR
 from scenegen.errors import GenerationError
 from scenegen.fly import Vehicle, missions, suite
-from scenegen.fly.course import Course, Recording
+from scenegen.fly.course import Course, read_recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
@@ -175,7 +174,7 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path, monkeypatch
     more = f"-o {file} --picture {picture} --film {film} --log {log} --json"
     told = json.loads(done(capsys, f"{words} {more}"))
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    ((course, (flown,)),) = Recording.read(file).courses
+    ((course, (flown,)),) = read_recording(file).courses
     with Image.open(film) as shown:
         assert shown.n_frames == (len(flown.commands) + 2) // 3 + 1
         assert SENSOR in {colour for _, colour in shown.convert("RGB").getcolors()}
@@ -232,11 +231,11 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     file = tmp_path / "entry.json"
     words = f"fly --suite aerial-1 --robot reactive --workers 1 -o {file}"
     done(capsys, words)
-    (first,) = Recording.read(file).courses
-    assert not Recording.read(file).complete
+    (first,) = read_recording(file).courses
+    assert not read_recording(file).complete
     file.write_bytes(file.read_bytes())  # as a copy from another machine: without our mark
     done(capsys, words)
-    every = Recording.read(file).courses
+    every = read_recording(file).courses
     assert [course.seed for course, _ in every] == [course.seed for course in chosen]
     assert every[0][1][0].step_s == first[1][0].step_s  # by the clock: no second flight has it
     kept = file.read_bytes()
@@ -248,7 +247,7 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
         assert file.read_bytes() == kept
     told = f"{len(chosen)} of 300 courses, incomplete"
     assert told in done(capsys, f"fly --replay {file} --workers 2")
-    better = Recording.read(file)
+    better = read_recording(file)
     best = [(course, [replace(one, outcome="success", score=98765.4)]) for course, (one,) in every]
     better = replace(better, robot="<b>better</b>", courses=best[::-1])
     (tmp_path / "better.json").write_bytes(better.encoded())
@@ -273,7 +272,7 @@ def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
 
     def stopped(work, tasks, on_start):
         yield work(tasks[0])
-        saved.append(file.exists() and len(Recording.read(file).courses))
+        saved.append(file.exists() and len(read_recording(file).courses))
         said.append(undo_all())
         if name:  # another run of the same command writes another course
             file.write_bytes(file.read_bytes().replace(b'"seed": 0', b'"seed": 2'))
@@ -286,10 +285,10 @@ def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
         monkeypatch.setattr(flights, "SAVED_S", -1.0)
         given = (courses, lambda one: (one, [flown]), "idle", name, file)
         with pytest.raises(GenerationError):
-            flights.fly_courses(*given, partial(flights.counted, stopped, silent))
+            flights.fly_courses(*given, flights.crew_of(stopped))
     assert saved == [1, False]
     assert f"{tmp_path}/aerial-1.json holds 1 of 3 courses" in said[0]
-    assert len(Recording.read(tmp_path / "aerial-1.json").courses) == 3
+    assert len(read_recording(tmp_path / "aerial-1.json").courses) == 3
     assert "no flight is kept" in said[1]
     assert not file.exists()
 

@@ -293,7 +293,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        go_on(on_sample=stop)
+        go_on(on_done=stop)
     next(out.rglob("*.invalid")).unlink()  # as if stopped within the first sample
     done = go_on()
     assert (done.written, done.there) == (2, 0)

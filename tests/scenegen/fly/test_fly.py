@@ -20,7 +20,7 @@ from lidarsim.pose import rotate
 from scenegen import recipes
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
-from scenegen.fly.course import Course, Recording, replay
+from scenegen.fly.course import Course, Recording, read_recording, replay
 from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
@@ -342,8 +342,8 @@ def test_a_recording_flies_again(tmp_path):
     file = tmp_path / "flights.json"
     kept = Recording(robot="scripted", suite=None, courses=[(course, flown)])
     file.write_bytes(kept.encoded())
-    assert Recording.read(file).robot == "scripted"
-    again = replay(*Recording.read(file).courses[0])
+    assert read_recording(file).robot == "scripted"
+    again = replay(*read_recording(file).courses[0])
     assert [one.row() for one in again] == [one.row() for one in flown]
     text = file.read_text()
     shrunk = text.replace('"radius_m": 0.3', '"radius_m": -1')
@@ -353,10 +353,10 @@ def test_a_recording_flies_again(tmp_path):
     for wrong in ("{}", "[1]", "x", shrunk, worded, fewer):
         file.write_text(wrong)
         with pytest.raises(DatasetError, match=r"fly again|format"):
-            Recording.read(file)
+            read_recording(file)
     file.write_bytes(kept.encoded().replace(course.sha256.encode(), b"0" * 64))
     with pytest.raises(GenerationError, match="another world"):
-        replay(*Recording.read(file).courses[0])
+        replay(*read_recording(file).courses[0])
 
 
 def test_no_forged_figure_passes(tmp_path):
@@ -385,7 +385,7 @@ def test_no_forged_figure_passes(tmp_path):
         flights = [(course, [replace(flown, **change)])]
         file.write_bytes(Recording(robot="forged", suite=None, courses=flights).encoded())
         with pytest.raises(DatasetError):
-            replay(course, Recording.read(file).courses[0][1])
+            replay(course, read_recording(file).courses[0][1])
     turning = course.simulation(0)  # faster than it may, and true in all else
     for command in (fast := [np.float32([0, 0, 0, 9])] * 3):
         turning.observe()

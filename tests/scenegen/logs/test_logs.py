@@ -345,7 +345,7 @@ def ingest_and_be_killed(log, out, at):
         if next(seen) == at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    ingest(read_log(log), out, NEAR, on_scan=count)
+    ingest(read_log(log), out, NEAR, on_done=count)
 
 
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
@@ -365,7 +365,7 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     with pytest.raises(DatasetError, match="other options"):
         ingest(read_log(log), out, dataclasses.replace(NEAR, every=3))
     done = []
-    assert ingest(read_log(log), out, how, on_scan=done.append) == counts
+    assert ingest(read_log(log), out, how, on_done=done.append) == counts
     assert done[0] == 9
     assert not (tmp_path / "out.part").exists()
     cloud = log / "velodyne" / "000008.bin"
