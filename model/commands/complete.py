@@ -120,6 +120,7 @@ def complete(
     processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
+    from scenegen.dataset.opening import open_data
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import (
         predict_scan,
