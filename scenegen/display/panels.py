@@ -36,8 +36,6 @@ MAP = "#1560bd"
 """The colour of a map's box where another one is drawn, too."""
 DPI, PAPER_DPI = 150, 400
 UNREAD = "could not be read"
-MOST_VECTORS = 100
-"""Voxels that a file for print holds as shapes; more are drawn as pixels."""
 BESIDE, LINE = 1.15, 0.25
 """Room for a bar beside panels, and for a line of letters, inches."""
 WIDE, TALL = 3.05, 2.6
@@ -46,8 +44,6 @@ LEAST = 1.1
 """The narrowest panel in which letters for print have room, inches."""
 SMALLER = 0.4
 """Share of their area that balls and points keep for print, where panels are small."""
-MOST_FACES = 400_000
-"""The most faces of voxels in a panel: drawing these takes some ten seconds."""
 
 
 def legend_columns(wide: float, marks: int) -> int:
@@ -98,9 +94,8 @@ def for_paper(figure: Figure, width: float, points: float) -> None:
     for text in figure.findobj(Text):
         text.set_fontsize(points)
     for many in figure.findobj(Collection):
-        balls = isinstance(many, PathCollection)
-        many.set_rasterized(balls or len(many.get_paths()) > MOST_VECTORS)
-        if balls:
+        many.set_rasterized(not isinstance(many, LineCollection))
+        if isinstance(many, PathCollection):
             many.set_sizes(SMALLER * many.get_sizes())
 
 
@@ -158,8 +153,7 @@ def draw_panel(
     ticks: bool,
     view: View = VIEW,
 ) -> None:
-    """Draws `points`, or the mask `name`, and the sensor in the map's box. Raises DatasetError as
-    `draw_voxels`."""
+    """Draws `points`, or the mask `name`, and the sensor in the map's box."""
     low, high = look.corners
     put_title(panel, title)
     frame_box(panel, low, high, ticks=ticks, view=view)
@@ -181,16 +175,12 @@ def draw_voxels(
     """Draws cubes where `mask` is set, coloured by height; of None, says that it could not be read.
 
     With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have the colours
-    of `error_colours`. Raises DatasetError for more than a picture can hold.
+    of `error_colours`.
     """
     if mask is None:
         put_note(panel, UNREAD, 0.35, 0.5)
         return
     corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
-    if len(voxels) > MOST_FACES:
-        raise DatasetError(
-            f"{look.name}: {len(voxels)} faces of voxels; a picture shows {MOST_FACES} at most"
-        )
     paper = view.project(look.origin + corners * look.grid.voxel_m)
     shades = colour(voxels[:, 2] / max(mask.shape[2] - 1, 1), HEIGHTS)
     if truth is not None:

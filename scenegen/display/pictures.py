@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from lidarsim import Sensor
-from lidarsim.grid import Floats, GridSpec
+from lidarsim.grid import Floats
 from lidarsim.sensors.device import angles_deg
 from scenegen.clouds import ReadReport, read_cloud
 from scenegen.display.colours import HEIGHTS, colour
@@ -67,7 +67,7 @@ def draw_sample(
     three levels of the distances.
 
     The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
-    empty, and says so. Raises DatasetError as `draw_voxels`.
+    empty, and says so.
     """
     handles = [ball("sensor"), line("the map's box")]
     grid = Grid(2, 3, title, handles, scale=1.25, width=width)
@@ -84,8 +84,7 @@ def draw_sample(
 
 
 def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
-    DatasetError as `draw_voxels`."""
+    """Draws many samples on one sheet: occupied voxels with the returns over them."""
     columns = across(min(4, len(looks)), width)
     grid = Grid(-(-len(looks) // columns), columns, title, MARKS, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
@@ -95,16 +94,14 @@ def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None)
 
 
 def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
-    """Draws a turntable as an animated picture: occupied voxels and returns, seen from all sides.
-    Raises DatasetError as `draw_voxels`."""
+    """Draws a turntable as an animated picture: occupied voxels and returns from all sides."""
     turns = VIEW.azimuth + np.linspace(0, 2 * math.pi, frames, endpoint=False)
     pictures = [_frame(look, View(azimuth=float(turn)), title) for turn in turns]
     return _film(pictures, TURN_S / frames, suffix)
 
 
 def draw_flight(looks: Sequence[Look], *, title: str, suffix: str) -> bytes:
-    """Draws the samples of a flight one after the other, as an animated picture. Raises
-    DatasetError as `draw_voxels`."""
+    """Draws the samples of a flight one after the other, as an animated picture."""
     pictures = [_frame(look, VIEW, f"{title}, {look.name}") for look in looks]
     return _film(pictures, STAY_S, suffix)
 
@@ -159,7 +156,7 @@ def _landscape(title: str, low: Floats, high: Floats, handles: Sequence[Any]) ->
 def draw_scan(
     path: Path, columns: int | None = None, report: Callable[[object], None] = lambda line: None
 ) -> Figure:
-    """Draw a scan that belongs to no dataset, with the usual map's box around the sensor.
+    """Draw a scan that belongs to no dataset.
 
     Args:
         path: The file.
@@ -176,14 +173,11 @@ def draw_scan(
     if not len(points):
         raise DatasetError(f"{path}: no point of it is a return")
     points = points[:: -(-len(points) // MOST_DRAWN)]
-    half = np.array(GridSpec().extent_m) / 2
-    low, high = np.minimum(points.min(axis=0), -half), np.maximum(points.max(axis=0), half)
-    size = " × ".join(f"{edge:g}" for edge in GridSpec().extent_m)
-    around = line(f"a map of {size} m around it", MAP, 1.2)
-    handles = [ball("sensor"), around, line("the box of all points")]
+    # a metre around the sensor at least, so that a box has room
+    low, high = np.minimum(points.min(axis=0), -1), np.maximum(points.max(axis=0), 1)
+    handles = [ball("sensor"), line("the box of all points and the sensor")]
     figure, panel = _landscape(plain(path.name), low, high, handles)
     put_points(panel, points, low[2], high[2], max(0.3, min(4.0, 2e4 / len(points))))
-    put_box(panel, -half, half)
     put_ball(panel, VIEW.project(np.zeros(3)))
     return figure
 
