@@ -20,11 +20,8 @@ from typing import Any, BinaryIO
 
 from scenegen.errors import AbsentError, DatasetError, DiskError
 from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.run import undone
+from scenegen.run import LOCATED, undone
 
-LOCATED: dict[Path, tuple[Any, ...]] = {}
-"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
-it on another machine, and its arguments, the name first."""
 PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
 """Names of the folders in a dataset's, of which each holds a thousand shards."""
 STALE_S = 24 * 3600.0

@@ -30,7 +30,6 @@ from scenegen.paths import DATA, check_type, type_of
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from scenegen.dataset.opening import open_data
     from scenegen.dataset.read import AnyDataset
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import Task

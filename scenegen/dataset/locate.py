@@ -13,9 +13,10 @@ from scenegen.dataset import manifest
 from scenegen.dataset.schema import NAME, pattern_of
 from scenegen.dataset.sensor_file import rays_digest
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import LOCATED, sha256_in
+from scenegen.files import sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.mirrors import fetch_all, make_mirror, note_files
+from scenegen.run import LOCATED
 from scenegen.stores import Store, is_remote
 
 os.environ.setdefault(

@@ -7,6 +7,7 @@ wherever they run.
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 from lidarsim.registry import Registry
@@ -20,6 +21,11 @@ Results = Generator[Any, None, None]
 """Results as they come."""
 Counted = Callable[[int], None]
 """What is told how many samples there are, or that so many more are done."""
+
+
+LOCATED: dict[Path, tuple[Any, ...]] = {}
+"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
+it on another machine, and its arguments, the name first."""
 
 
 def cores() -> int:

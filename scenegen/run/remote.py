@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.errors import GenerationError, told
-from scenegen.files import LOCATED
+from scenegen.run import LOCATED
 from scenegen.run.software import identity
 
 GO_ON = "what is written is kept: give the same command again to go on"
