@@ -13,7 +13,19 @@ SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos=
 <geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
 <geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
 """A world, as the text of a file."""
-NASTY = ("null", "-1", "1e308", '"x"', '"../x"', "[]", "[[1]]", "{}", '{"a": 1}', "true", "[7, 7]")
+NASTY = (
+    "null",
+    "-1",
+    "1e308",
+    '"x"',
+    '"../x"',
+    "[]",
+    "[[1]]",
+    "{}",
+    '{"a": 1}',
+    "true",
+    r'"\u0000"',
+)
 """JSON that stands in no file of ours at that place."""
 
 
