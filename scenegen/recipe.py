@@ -91,7 +91,7 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
     """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
-    parts: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """Settings of the parts of samples that were asked for, by their names in
     `scenegen.parts.PARTS`. Nothing else depends on them."""
     mapping: Mapper = field(default_factory=Mapper)

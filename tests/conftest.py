@@ -125,7 +125,7 @@ def hall_in(folder, states):
 
 def stop_at_val(report, fresh):
     """Stops a build at the first shard of its val split."""
-    if report.file.startswith("val"):
+    if report.entry.file.startswith("val"):
         raise KeyboardInterrupt
 
 

@@ -15,6 +15,7 @@ from lidarsim.scan import Scan, check_ranges
 from lidarsim.sensors import Sensor
 
 DATASHEET = "datasheet"
+NONE = "none"
 """The word that stands for the sensor's own `noise`."""
 MOST_STAGES = 20
 """The most stages of a chain."""
@@ -45,10 +46,12 @@ class Noise:
     def parse(cls, text: "str | Noise", sensor: Sensor | None = None) -> "Noise":
         """The chain of a text such as ``divergence:3:returns=last,range:0.02``: stages by name, or
         a user's own as ``module:Object``, each with its values in the order of its fields, or by
-        name. ``datasheet`` stands for the noise that the `sensor` comes with. A chain is itself.
-        Raises ValueError, in one line."""
+        name. ``datasheet`` stands for the noise that the `sensor` comes with, and ``none``, by
+        itself, for no stage. A chain is itself. Raises ValueError, in one line."""
         if isinstance(text, Noise):
             return text
+        if text.strip() == NONE:
+            return cls()
         stages: list[Stage] = []
         for part in text.split(","):
             if part.strip() == DATASHEET:

@@ -21,6 +21,7 @@ from scenegen.errors import (
     DatasetError,
     RecipeError,
     SceneError,
+    raised_as,
     short,
     whole_number,
 )
@@ -33,9 +34,6 @@ from scenegen.recipes import graded
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import Place, Store, place_of
 from scenegen.tables import named_lidar
-
-NO_NOISE = "none"
-"""What stands for clean ranges, where another dataset has noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,9 +262,9 @@ def _plan_like(
         raise AskedError("a dataset like another one needs a folder of its own; give --out")
     folder, lidar = _folder(out, ""), sensing["lidar"]
     sensor = None if lidar is None else named_lidar(lidar)
-    noise = None
-    if (text := sensing["noise"]) is not None:
-        noise = Noise() if text == NO_NOISE else Noise.parse(text, sensor)
+    text = sensing["noise"]
+    with raised_as(RecipeError):
+        noise = None if text is None else Noise.parse(text, sensor)
     options: Json = {} if counts is None else {"counts": counts}
     options |= {"compact": True} if compact else {}
     plan = plan_like(

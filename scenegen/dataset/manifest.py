@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -24,7 +24,7 @@ from lidarsim.noise import STAGES
 from lidarsim.noise import VERSION as NOISE_VERSION
 from scenegen import SPLITS, __version__
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.parameters import plain
+from scenegen.dataset.parameters import configured, plain
 from scenegen.dataset.schema import (
     FORMAT,
     NAME,
@@ -300,23 +300,6 @@ def schema_of(described: "Recipe | Manifest") -> Schema:
     )
 
 
-def configured(config: Any, table: Any, where: str) -> Any:
-    """The dataclass `config` of a `table` of its fields; errors name `where` in the file that is.
-
-    Raises:
-        NewerError: The table has other names, too.
-        BrokenError: A value cannot be.
-    """
-    known = {item.name for item in fields(config)}
-    for name in table:
-        if name not in known:
-            raise NewerError(
-                f"{where}: unknown parameter {short(name)}: expected {', '.join(sorted(known))}"
-            )
-    with raised_as(BrokenError, f"{where}.", of=(ValueError, TypeError)):
-        return config(**table)
-
-
 def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
     """What a manifest says of noise on a sensor of that range; None without stages. Raises
     BrokenError for noise that no manifest can hold."""
@@ -408,7 +391,9 @@ def parse(content: bytes, folder: Path = Path(), named: str | None = None) -> Ma
         document = msgspec.json.decode(content, type=Document)
         values = {name: getattr(document, name) for name in Document.__struct_fields__}
         return Manifest(**values, folder=folder, named=named).check()
-    except (msgspec.MsgspecError, RecursionError, BrokenError) as error:
+    except NewerError:
+        raise
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, BrokenError) as error:
         fault = re.sub(r"^(.*) - at `\$\.?(.*)`$", r"\2: \1", printable(error))
     made_by = head.software.get("scenegen") if isinstance(head.software, dict) else None
     raise NewerError(fault) if _is_later(made_by) else BrokenError(fault)

@@ -27,7 +27,9 @@ from scenegen.stores import is_remote
 COLLECTION = "collection.json"
 SELECTION_SUFFIX = ".json"
 
-Paths = Annotated[list[str], Meta(min_length=1, max_length=MOST_SOURCES)]
+Place = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,1000}\Z")]
+"""A folder's path in a file, which may be a stranger's."""
+Paths = Annotated[list[Place], Meta(min_length=1, max_length=MOST_SOURCES)]
 Numbers = list[Annotated[int, Meta(ge=0)]]
 
 
@@ -43,7 +45,7 @@ class CollectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class SelectedDataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Samples of one dataset."""
 
-    path: str
+    path: Place
     """Its folder, from that of the file on, or its name at a store."""
     digest: Digest
     samples: dict[SplitName, Numbers]

@@ -1,17 +1,35 @@
-"""Parameters as plain JSON values, and where two sets of them differ."""
+"""Parameters as plain JSON values, what they describe, and where two sets of them differ."""
 
 import json
 import re
+from dataclasses import fields
 from typing import Any
 
 from lidarsim.parameters import MOST_SHOWN
-from scenegen.errors import short
+from scenegen.errors import BrokenError, NewerError, raised_as, short
 from scenegen.files import Json
 
 
 def plain(value: Any) -> Any:
     """`value` as JSON would give it back."""
     return json.loads(json.dumps(value))
+
+
+def configured(config: Any, table: Any, where: str) -> Any:
+    """The dataclass `config` of a `table` of its fields; errors name `where` in the file that is.
+
+    Raises:
+        NewerError: The table has other names, too.
+        BrokenError: A value cannot be.
+    """
+    known = {item.name for item in fields(config)}
+    for name in table:
+        if name not in known:
+            raise NewerError(
+                f"{where}: unknown parameter {short(name)}: expected {', '.join(sorted(known))}"
+            )
+    with raised_as(BrokenError, f"{where}.", of=(ValueError, TypeError)):
+        return config(**table)
 
 
 def differences(

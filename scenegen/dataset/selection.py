@@ -146,7 +146,8 @@ def _kept_of_one(dataset: Dataset) -> dict[str, Floats]:
     table = table.view("<f8").reshape(-1, len(COLUMNS))
     by_split = dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
     name = max(by_split, key=lambda name: len(by_split[name]))
-    for index in np.linspace(0, len(by_split[name]) - 1, MEASURED_AGAIN).astype(int).tolist():
+    samples = len(by_split[name])
+    for index in np.linspace(0, samples - 1, min(MEASURED_AGAIN, samples)).astype(int).tolist():
         sample = dataset.split(name)[index]
         again = [measure(sample) for measure in MEASURES.values()]
         if not np.array_equal(by_split[name][index], again, equal_nan=True):

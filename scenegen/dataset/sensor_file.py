@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.parameters import MOST_RAYS, MOST_TEXT
 from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
+from scenegen.dataset.parameters import configured
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as
 from scenegen.files import Json, read_bounded, sha256_of
 from scenegen.stores import Place, create_at, read_at
@@ -50,10 +51,10 @@ def sensor_entry(sensor: Sensor) -> Json:
 
 def _entry_of(entry: Json) -> RaysEntry | Lidar:
     """A sensor's entry, checked. Raises BrokenError."""
-    failed = (ValueError, TypeError)  # msgspec's are ValueErrors
-    with raised_as(BrokenError, "recipe.lidar: ", of=failed):
-        if "sensor" not in entry:
-            return Lidar(**entry)
+    if "sensor" not in entry:
+        lidar: Lidar = configured(Lidar, entry, "recipe.lidar")
+        return lidar
+    with raised_as(BrokenError, "recipe.lidar: ", of=ValueError):  # as msgspec's are
         table = msgspec.convert(entry, RaysEntry)
         if math.prod(table.shape) > MOST_RAYS:
             raise ValueError(f"shape = {table.shape}: expected {MOST_RAYS} rays at most")

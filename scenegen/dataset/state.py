@@ -131,8 +131,7 @@ class State:
         if not names:
             return None
         if NAME not in names:
-            planned_here = (shard for shard in self.plan.shards if shard.file in names)
-            if any(report_at(folder, (shard, None)) for shard in planned_here):
+            if self._has_shards_among(names):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds files ({names[0]}, …), but no {NAME} and no sound "
@@ -142,6 +141,8 @@ class State:
         try:
             former = manifest.parse(self._content, Path(str(folder)))
         except DatasetError as error:
+            if self._has_shards_among(names):
+                return {}  # the manifest alone is damaged
             if self._force:
                 return None
             raise DatasetError(
@@ -161,6 +162,11 @@ class State:
                 "another folder with --out, or replace it with --force"
             )
         return None
+
+    def _has_shards_among(self, names: Sequence[str]) -> bool:
+        """Whether one of the files `names` is a sound shard of this dataset."""
+        planned_here = (shard for shard in self.plan.shards if shard.file in names)
+        return any(report_at(self.plan.folder, (shard, None)) for shard in planned_here)
 
     def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
         """Take in those of `shards` that are on disk, are not known yet, and are as the manifest

@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
+from lidarsim import GridSpec
 from scenegen import SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
@@ -32,6 +33,7 @@ from scenegen.errors import DatasetError, GenerationError
 from tests.command_line import rows
 from tests.conftest import DRAWN, THREE, picky_recipe, plan_of, small_recipe, stop_at_val
 from tests.scenegen.conftest import same, wait_for
+from tests.scenegen.verification.forge import edit_manifest, read
 
 pytestmark = pytest.mark.usefixtures("drawn_once")
 
@@ -109,11 +111,11 @@ def test_a_chunk_is_the_same_wherever_a_threads_stack_lies():
 
 
 def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
-    digest = manifest.read(whole)["digest"]
+    digest = read(whole)["digest"]
     assert make(tmp_path / "b", shard_samples=1).digest == digest
     assert make(tmp_path / "c", shard_samples=1000, compact=True).digest == digest
-    assert manifest.read(few)["digest"] != digest
-    assert "tudf" not in manifest.read(tmp_path / "c")["fields"]
+    assert read(few)["digest"] != digest
+    assert "tudf" not in read(tmp_path / "c")["fields"]
     for split in SPLITS:
         one, other = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
         assert all(same(a, b) for a, b in zip(one, other, strict=True))
@@ -151,8 +153,8 @@ def test_growth_that_is_killed_goes_on(folder, larger, monkeypatch):
 def test_a_lost_manifest_is_made_from_the_shards(folder):
     whole = content(folder)
     (folder / NAME).unlink()
-    with pytest.raises(DatasetError, match=r"holds files .* no sound shard"):
-        make(folder, counts=COUNTS | {"train": 12})
+    with pytest.raises(DatasetError, match="no sound shard"):
+        make(folder, seed=4)
     assert make(folder).samples_written == 0
     assert content(folder) == whole
 
@@ -193,7 +195,7 @@ def test_what_is_finished_is_written_down_on_the_way(tmp_path, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         build(plan(tmp_path / "d"), on_shard=stop_at_val)
-    assert len(manifest.read(tmp_path / "d")["shards"]) == 3
+    assert len(read(tmp_path / "d")["shards"]) == 3
     monkeypatch.setattr(ShardFile, "check", pytest.fail)
     (tmp_path / "d" / "val-00000.h5").unlink()
     assert make(tmp_path / "d").complete
@@ -214,9 +216,9 @@ viewpoint  → <i8  →
 
 
 def test_the_format_is_the_contract(whole):
-    there, sums = manifest.read(whole), content(whole)
-    assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 1, True)
-    assert there["grid"] == {"shape": [24, 24, 16], "voxel": 0.2, "truncation": 2.0}
+    there, sums = read(whole), content(whole)
+    assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 2, True)
+    assert Dataset(whole).grid == GridSpec(shape=(24, 24, 16), voxel_m=0.2, truncation_m=2.0)
     assert there["fields"] == [name for name, _, _ in rows(FORMAT)]
     for shard in there["shards"]:
         assert sums[shard["file"]] == shard["sha256"]
@@ -274,7 +276,7 @@ def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(f
 def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, monkeypatch):
     """The dataset that was there may have been killed itself before it listed its shards."""
     if not listed:
-        manifest.write(folder, manifest.read(folder) | {"shards": [], "complete": False})
+        edit_manifest(folder, shards=[], complete=False, digest=None)
         (folder / "train-00001.h5").unlink()  # its worlds were put there first
     plain, removed = Path.unlink, []
 
@@ -318,7 +320,7 @@ def test_jobs_that_finish_while_another_works_lose_nothing(
 def test_a_list_of_shards_that_is_damaged_is_written_anew(folder):
     undisturbed = content(folder)
     for damage in ({"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}):
-        manifest.write(folder, manifest.read(folder) | damage)
+        edit_manifest(folder, **damage)
         assert make(folder).samples_written == 0
         assert content(folder) == undisturbed
 

@@ -1,28 +1,27 @@
-"""Datasets of several kinds: shares, kinds told apart, the same samples as by themselves, resuming,
-and what is wrong in one line."""
+"""Collections: datasets read as one, those of a mixture first; shares, resuming, and what is wrong
+in one line."""
 
 import re
+import shutil
 
 import numpy as np
 import pytest
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_merge, plan_take
-from scenegen.dataset.parts import write_rays
-from scenegen.share.regenerate import recipe_text
 
 import scenegen
 from lidarsim import fuse
-from scenegen.dataset import manifest, trust
+from scenegen import SPLITS
+from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.generation import plan_generation, read_components
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.opening import COLLECTION, open_data
 from scenegen.errors import DatasetError, RecipeError
 from scenegen.model.training.data import Maps, SplitSamples
 from scenegen.recipes import kind_names
-from scenegen.share.stage import Request, stage
+from scenegen.source import read_scenes
 from scenegen.verification import verify
-from tests.command_line import done, refused, rows
-from tests.conftest import plan_of
+from tests.command_line import done, rows
+from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.scenegen.conftest import built
+from tests.scenegen.dataset import NASTY, SCENE, put, samples_of
 
 SMALL = """
 kind = "mixed"
@@ -83,18 +82,35 @@ def mixed(recipe):
     return scenegen.generate(recipe=recipe, out=recipe.parent / "data", shard_samples=4, **COUNTS)
 
 
+@pytest.fixture
+def changed(mixed, tmp_path):
+    """A copy, to change."""
+    return shutil.copytree(mixed.name, tmp_path / "mixed")
+
+
 def kinds(dataset, split):
     samples = dataset.split(split)
     return [samples.home(n).graded for n in range(len(samples))]
 
 
 def test_samples_come_by_weight_and_know_their_kind(mixed):
-    assert mixed.manifest.kind == manifest.SEVERAL
     assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze-hard"] * 4
     assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze-hard"]
-    names = mixed.split("train").names
-    assert len(set(names)) == len(names) == 20
-    assert mixed.split("train").count_worlds() == 10
+    assert {kind: len(own) for kind, own in mixed.split("test").by_kind().items()} == {
+        **{"pillar": 3, "clutter": 1, "maze-hard": 1}
+    }
+
+
+def test_worlds_of_a_collection_have_numbers_of_their_own(mixed):
+    samples = mixed.split("train")
+    assert len(set(samples.names)) == len(samples) == 20
+    assert samples.count_worlds() == 10
+    for n, sample in enumerate(samples):
+        assert samples.names[n] == ("train", sample.world, sample.viewpoint)
+    first = mixed.datasets[2].world("train", 0)
+    assert mixed.world("train", samples[16].world) == first
+    with pytest.raises(DatasetError):
+        mixed.world("train", 10)
 
 
 def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe):
@@ -102,100 +118,150 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe):
     counts = {"train": 12, "val": 3, "test": 3}
     alone = built(plan_of(recipe.parent / "alone", pillars, seed=4, counts=counts))
     for split, count in counts.items():
-        ours, theirs = ([one.sha256() for one in its.split(split)] for its in (mixed, alone))
-        assert ours[:count] == theirs
+        assert samples_of(mixed, split)[:count] == samples_of(alone, split)
 
 
-def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
-    before = manifest.read(mixed.folder)
-    for name in ("train-00003.h5", "val-00001.worlds.zip", "test-00002.h5"):
-        (mixed.folder / name).unlink()
-    again = scenegen.generate(recipe=recipe, out=mixed.folder, workers=2, shard_samples=4, **COUNTS)
-    assert manifest.read(again.folder) == before
+def test_a_collection_has_the_samples_of_its_datasets(mixed):
+    for split in SPLITS:
+        expected = [one for dataset in mixed.datasets for one in samples_of(dataset, split)]
+        assert samples_of(mixed, split) == expected
 
 
-def test_another_recipe_is_refused_by_the_parameter_that_differs(mixed, tmp_path):
+@pytest.mark.parametrize("how", ["list", "folder"])
+def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed, how):
+    (changed / COLLECTION).unlink()
+    names = changed if how == "folder" else [changed / one.folder.name for one in mixed.datasets]
+    for split in SPLITS:
+        assert sorted(samples_of(open_data(names), split)) == sorted(samples_of(mixed, split))
+
+
+def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, changed, recipe):
+    before = contents(changed)
+    for name in ("pillar/train-00002.h5", "clutter/val-00000.worlds.zip", COLLECTION):
+        (changed / name).unlink()
+    scenegen.generate(recipe=recipe, out=changed, workers=2, shard_samples=4, **COUNTS)
+    assert contents(changed) == before
+
+
+def test_another_recipe_is_refused_by_the_parameter_that_differs(changed, tmp_path):
     other = tmp_path / "r.toml"
     other.write_text(RECIPE.replace("0.06]", "0.07]"))
-    named = r"sources\.0\.parameters\.recipe\.world\.density is \[0\.06, 0\.06\] there"
-    with pytest.raises(DatasetError, match=named):
-        scenegen.generate(recipe=other, out=mixed.folder, shard_samples=4, **COUNTS)
+    with pytest.raises(DatasetError, match=r"recipe\.world\.density is \[0\.06, 0\.06\] there"):
+        scenegen.generate(recipe=other, out=changed, shard_samples=4, **COUNTS)
 
 
-def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenegen.model.evaluation.shown._webp", lambda figure: b"")
-    folder = mixed.folder
-    done(capsys, f"verify {folder} --kind clutter")
-    named = trust.parse(manifest.read(folder), folder, "clutter")
-    assert {home.named for home in named.homes} == {"clutter"}
-    assert "clutter, seed 4, train 4, val 1, test 1" in done(capsys, f"inspect {folder} --details")
-    done(capsys, f"bench {folder} --method returns --quick --quiet -o {tmp_path}/b")
+def test_another_collection_is_replaced_where_force_is_given(changed, recipe, tmp_path):
+    other, counts = tmp_path / "r.toml", {"n": 2, "val": 0, "test": 0}
+    other.write_text(f'{SMALL}[[component]]\nkind = "rooms"\n[[component]]\nkind = "maze"\n')
+    before = contents(changed)
+    with pytest.raises(DatasetError, match="another collection"):
+        scenegen.generate(recipe=other, out=changed, **counts)
+    assert contents(changed) == before
+    replaced = scenegen.generate(recipe=other, out=changed, force=True, **counts)
+    assert kinds(replaced, "train") == ["rooms", "maze"]
+
+
+def test_a_folder_with_other_files_does_not_become_a_collection(recipe, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    for force in (False, True):
+        with pytest.raises(DatasetError, match="holds other files"):
+            scenegen.generate(recipe=recipe, out=tmp_path, force=force, **COUNTS)
+    assert contents(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+@pytest.mark.parametrize("path", ["format", "version", "datasets", "datasets.0", "odd"])
+def test_no_value_in_a_collections_list_ends_in_a_traceback(changed, path):
+    for value in NASTY:
+        shutil.copy(changed / COLLECTION, changed / "kept")
+        put(changed / COLLECTION, path, value)
+        with pytest.raises(DatasetError):
+            open_data(changed)
+        shutil.move(changed / "kept", changed / COLLECTION)
+
+
+def test_datasets_of_other_grids_are_not_read_together(mixed, tmp_path):
+    other = dataset_in(tmp_path / "d", small_recipe(grid={"shape": (16, 16, 16)}))
+    with pytest.raises(DatasetError, match="its grid is"):
+        open_data([mixed, other])
+
+
+def test_a_dataset_is_not_read_together_with_itself(tmp_path):
+    one = dataset_in(tmp_path / "one")
+    more = dataset_in(tmp_path / "more", counts={"train": 6, "val": 0, "test": 0}, compact=True)
+    other = dataset_in(tmp_path / "other", seed=1)
+    assert len(open_data([one, other]).split("train")) == 6
+    for again in (one.folder, more.folder):
+        with pytest.raises(DatasetError, match="holds the same samples"):
+            open_data([one, again])
+
+
+def test_no_world_from_a_file_is_in_two_splits(tmp_path):
+    (tmp_path / "a.xml").write_text(SCENE.format(x=4))
+    (tmp_path / "b.xml").write_text(SCENE.format(x=5))
+
+    def dataset_of(name, split):
+        counts = dict.fromkeys(SPLITS, 0) | {split: 3}
+        source = read_scenes(tmp_path / name, counts, seed=0)
+        plan = plan_dataset(
+            tmp_path / f"{name}-{split}", scene_recipe(), source, seed=0, counts=counts
+        )
+        return built(plan)
+
+    trained = dataset_of("a.xml", "train")
+    assert len(open_data([trained, dataset_of("b.xml", "test")]).split("test")) == 3
+    with pytest.raises(DatasetError, match="two splits"):
+        open_data([trained, dataset_of("a.xml", "test")])
+
+
+def test_a_collection_is_verified_inspected_and_measured(mixed, tmp_path, capsys):
+    report = verify(mixed.name)
+    assert report.ok, report.failed
+    names = {check.name for check in report.checks}
+    assert {"pillar: digest", "clutter: digest", "maze-hard: digest", "together"} <= names
+    done(capsys, f"inspect {mixed.name} --details")
+    done(capsys, f"bench {mixed.name} --method returns --quick --quiet -o {tmp_path}/b")
     report = (tmp_path / "b" / "report.md").read_text()
     assert {"pillar", "clutter", "maze-hard"} <= {*re.findall(r"^## (.*)$", report, re.M)}
-    take = f"take {folder} --quiet -o {tmp_path}/two --kind"
-    done(capsys, f"{take} maze-hard --kind clutter")
-    assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze-hard"] * 4
-    assert "no sample is as asked for (--kind cave)" in refused(capsys, f"{take} cave --force")
 
 
-@pytest.mark.parametrize(("weights", "n"), [((1, 1, 1), 23), ((0.5, 7, 2.25), 2500)])
-def test_the_recipe_that_a_manifest_spells_out_plans_the_same(tmp_path, weights, n):
-    text = DIFFERENT
-    for old, new in zip(("weight = 3", "weight = 2", "weight = 1"), weights, strict=True):
-        text = text.replace(old, f"weight = {new}")
-    (tmp_path / "r.toml").write_text(text)
-    asked = {"n": n, "seed": 4, "out": "x", "shard_samples": 400}
-    plan = plan_generation(recipe=tmp_path / "r.toml", **asked)
-    (tmp_path / "again.toml").write_text(recipe_text(plan.parameters, "again"))
-    write_rays(plan.lidars, tmp_path)
-    again = plan_generation(recipe=tmp_path / "again.toml", **asked)
-    assert again.parameters == plan.parameters
+@pytest.fixture(scope="module")
+def different(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("different")
+    (folder / "r.toml").write_text(DIFFERENT)
+    return scenegen.generate(recipe=folder / "r.toml", out=folder / "a", n=6, val=0, test=0)
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, capsys):
-    (tmp_path / "r.toml").write_text(DIFFERENT)
-    scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "a", workers=1, n=6, val=0, test=0)
-    found = Dataset(tmp_path / "a", checked=True)
-    assert found.manifest.parameters["version"] == "1.6"
-    assert sorted(found.manifest.parameters["differ"]) == ["fields", "lidar", "mapping", "noise"]
-    tables = {path.name for path in found.folder.glob("rays*.npy")}
-    assert len(tables) == 2
-    assert tables < found.manifest.files.keys()
-    samples = found.split("train")
+def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(different):
+    assert verify(different.name).ok
+    samples = different.split("train")
     for n, sample in enumerate(samples):
         home = samples.home(n)
         assert (sample.lidar, sample.ranges.shape) == (home.lidar, home.lidar.shape)
         assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
         fused = fuse(sample.scans()[::-1], sample.grid, sample.origin, home.mapping)
         assert np.array_equal(sample.free, fused.free)
-    maps = Maps([SplitSamples(found, "train")], "train", ("observed", "distance"))
+
+
+def test_a_network_learns_from_datasets_of_other_sensors(different):
+    maps = Maps([SplitSamples(different, "train")], "train", ("observed", "distance"))
     assert {len(maps[n]) for n in range(len(maps))} == {4}  # two inputs, occupancy and distances
     assert len(set(maps.settings)) == 3
-    assert verify(found.folder).ok
-    said = done(capsys, f"inspect {found.folder} --details")
-    assert ("velodyne-vlp-16" in said, "dropout" in said) == (True, True)
-    request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
-    stage(request, checks=(("splits", "apart"),))
-    assert "load_dataset" not in (request.out / "README.md").read_text()
-    few, rest = (
-        built(plan_take(found, tmp_path / kinds[0], Choice(kinds=kinds)))
-        for kinds in (("maze-hard",), ("pillar", "clutter"))
-    )
-    assert few.manifest.parameters.get("differ") is None
-    assert [path.name for path in few.folder.glob("rays*.npy")] == ["rays.npy"]
-    again = built(plan_merge([rest, few], tmp_path / "again")).split("train")
-    assert {one.sha256() for one in again} == {one.sha256() for one in samples}
 
 
 def test_without_components_every_kind_has_the_same_weight():
+    plans = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class").datasets
     n = len(kind_names())
-    every = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class")
-    assert sum(shard.samples for shard in every.shards) == 100
-    assert {shard.samples for shard in every.shards} <= {100 // n, 100 // n + 1}
-    assert len(every.shards) == n
-    stream = scenegen.stream("mixed")
-    assert {stream.part(at)[0] for at in range(5 * n)} == set(range(n))
+    assert [plan.folder.name for plan in plans] == list(kind_names())
+    assert sum(plan.samples for plan in plans) == 100
+    assert {plan.samples for plan in plans} <= {100 // n, 100 // n + 1}
+
+
+def test_components_of_one_kind_are_numbered_and_draw_other_worlds(tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text(SMALL + 2 * '[[component]]\nkind = "pillar"\n')
+    found = scenegen.generate(recipe=path, out=tmp_path / "d", n=8, val=0, test=0)
+    assert [one.folder.name for one in found.datasets] == ["pillar-000", "pillar-001"]
+    assert len({sample.ranges.tobytes() for sample in found.split("train")}) == 8
 
 
 BAD = """
@@ -208,7 +274,7 @@ density = [0.06, 0.06] → density = [2, 1] → [world] density = [2, 1]
 [grid]                 → domain.draws = 2; [grid]                      → domain.draws
 [grid]                 → domain = {draws = 1000000000, lidar.rows = "2..4"}; [grid] → combinations
 [grid]                 → domain.rows = [4]; [grid]                     → tables of lists
-[component.world]      → [component.grid]; voxel_m = 1; [component.world]           → grid.voxel
+[component.world]      → [component.grid]; voxel_m = 1; [component.world]           → its grid is
 weight = 3             → weight = 3; lidar.rows = 3; [domain.lidar]; rows = [4]     → and a domain
 """
 
