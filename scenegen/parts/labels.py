@@ -4,8 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
-import numpy as np
-
 from scenegen.limits import MOST_CLASSES
 
 By: TypeAlias = Literal["class", "name", "material", "group"]
@@ -76,6 +74,8 @@ class LabelsPart:
     ) -> Iterator[str]:
         """See `Part.broken_laws`: what is occupied or returned has a geom, and geoms have
         classes."""
+        import numpy as np
+
         occupied, returned = fields["occupancy"], np.isfinite(fields["ranges"])
         for what, known, both_ways, line in (
             ("voxel", occupied, True, "voxels have a geom and are not occupied"),
