@@ -18,9 +18,25 @@ from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import done, run
 from tests.conftest import dataset_in, picky_recipe
-from tests.scenegen.dataset.test_mixed import RECIPE
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
+MIXED = """kind = "mixed"
+[grid]
+shape = [24, 24, 16]
+[flight]
+viewpoints = 2
+[accept]
+min_solids = 0
+min_occupied_share = 0
+min_returned_share = 0
+[[component]]
+kind = "pillar"
+weight = 3
+[[component]]
+kind = "maze"
+difficulty = "hard"
+weight = 1
+"""
 KEYS = {"occupied", "observed", "free", "unknown", "returned", "range_m", "tudf_m"}
 KEYS |= {*Difficulty._fields}
 SHARES = {"occupied": "occupancy", "observed": "observed", "free": "free"}
@@ -94,7 +110,7 @@ def test_many_samples_are_measured_by_several_processes(full):
 
 
 def test_figures_and_samples_are_told_by_kind(tmp_path):
-    (tmp_path / "r.toml").write_text(RECIPE)
+    (tmp_path / "r.toml").write_text(MIXED)
     options = {"n": 20, "val": 0, "test": 0, "workers": 1}
     mixed = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", **options)
     shown, _ = looks(mixed, "train", range(20))
@@ -112,7 +128,7 @@ def test_figures_and_samples_are_told_by_kind(tmp_path):
 def test_a_collection_has_a_line_for_each_measure(tmp_path, capsys):
     """With its means and what it is; the rest needs `--details`."""
     recipe = tmp_path / "mixed.toml"
-    recipe.write_text(RECIPE)
+    recipe.write_text(MIXED)
     words = f"generate --recipe {recipe} --n 12 --val 0 --test 6 --quiet -o {tmp_path}/mixed"
     done(capsys, words)
     said = done(capsys, f"inspect {tmp_path}/mixed")
