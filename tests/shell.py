@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 COMMON = """
-scenegen.cli.generate scenegen.cli.derive scenegen.cli.publish scenegen.cli.verify
+scenegen.cli.generate scenegen.cli.publish scenegen.cli.verify
 scenegen.cli.convert scenegen.draw scenegen.verification.folder
 scenegen.model.commands.bench scenegen.model.evaluation.run
 lidarsim.engines.mujoco h5py numba ompl.base ompl.geometric scipy.ndimage trimesh

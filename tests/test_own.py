@@ -36,6 +36,9 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     done("generate --recipe vineyard.toml -n 6 --workers 2 --labels class")
     assert '"kind": "my_worlds:Vineyard"' in (here / folder / "dataset.json").read_text()
     assert "ok" in regenerated(done(f"verify {folder} --workers 2 --kind my_worlds:Vineyard"))
+    done(f"generate --like {folder}/dataset.json --kind my_worlds:Vineyard -o again --workers 2")
+    one, other = (here / name / "dataset.json" for name in (folder, "again"))
+    assert one.read_bytes() == other.read_bytes()
     assert "world 0, viewpoint" in done(f"my_commands:fill {folder}")
     (here / "my_worlds.py").write_text(
         "raise AssertionError('imported because a manifest names it')"

@@ -56,7 +56,7 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     assert "regenerated  ok" in shell.done("verify", "data/rosette", "--workers", 1, here=elsewhere)
     publish = "publish data/rosette --repo a/b --out out --dry-run --workers 1"
     assert "rays.npy" in shell.done(*publish.split(), here=elsewhere)
-    again = f"generate --recipe recipe.toml {made} --out {elsewhere}/again --workers 1"
+    again = f"generate --like dataset.json --out {elsewhere}/again --workers 1"
     shell.done(*again.split(), here=elsewhere / "out")
     one, other = (elsewhere / name / "dataset.json" for name in ("again", "out"))
     assert one.read_bytes() == other.read_bytes()

@@ -123,10 +123,9 @@ render w.xml --flight -o r.png
 convert d --to semantickitti -o k
 convert d --to webdataset -o t
 recipe pillar
-rescan d --noise range:0.02 -o again --workers 1
-take d --split train -o taken --workers 1
-take d --split test --where occupied>=0 -o others --workers 1
-merge taken others -o merged --workers 1
+generate --like d --noise range:0.02 -o again --workers 1
+take d --split train --where occupied>=0 -o taken.json --workers 1
+inspect taken.json
 """
 """Every command, in an order in which each finds what it needs."""
 WORDS = [line.split() for line in COMMANDS.strip().splitlines()]
@@ -134,8 +133,8 @@ NAMES = {words[0] for words in WORDS}
 DEAR = {"export"}
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "
-    "others p p.png publish r.png run s.h5 s.ply scan.XYZ small.toml t taken v.html w.xml"
+    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps n.onnx o "
+    "p p.png publish r.png run s.h5 s.ply scan.XYZ small.toml t taken.json v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"

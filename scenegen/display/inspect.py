@@ -73,8 +73,12 @@ def inspect(
     datasets = [_facts(one) for one in dataset.datasets]
     first, *others = datasets
     summary = first if not others else {"datasets": datasets, "digest": dataset.digest}
-    if keep and (incomplete := [one.name for one in dataset.datasets if not one.manifest.complete]):
-        raise DatasetError(f"{incomplete[0]}: incomplete; give the command that made it again")
+    if keep and not isinstance(dataset, Dataset):
+        raise DatasetError(
+            f"{dataset.name}: measures are kept beside one dataset; inspect each of its datasets"
+        )
+    if keep and not dataset.datasets[0].manifest.complete:
+        raise DatasetError(f"{dataset.name}: incomplete; give the command that made it again")
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
@@ -87,8 +91,10 @@ def inspect(
             tables[name][row] = measures
             on_done(1)
     if keep and tasks:
-        (alone,) = dataset.datasets
-        write_whole(measures_file(alone), encode_measures(np.concatenate(list(tables.values()))))
+        write_whole(
+            measures_file(dataset.datasets[0]),
+            encode_measures(np.concatenate(list(tables.values()))),
+        )
     about_splits = {split.name: _about(split, tables[split.name]) for split in splits}
     if keep:
         content = json.dumps(about_splits, indent=1).encode()

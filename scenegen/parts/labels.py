@@ -3,8 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, get_args
 
-import numpy as np
-
 from scenegen.worlds.classes import By, Labels
 
 
@@ -37,6 +35,8 @@ class LabelsPart:
     ) -> Iterator[str]:
         """See `Part.broken_laws`: what is occupied or returned has a geom, and geoms have
         classes."""
+        import numpy as np
+
         occupied, returned = fields["occupancy"], np.isfinite(fields["ranges"])
         for what, known, both_ways, line in (
             ("voxel", occupied, True, "voxels have a geom and are not occupied"),

@@ -4,8 +4,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 UNIT = 1e-6
 """How far from 1 the length of a normal may be: it is stored in float32."""
 
@@ -31,6 +29,8 @@ class NormalsPart:
     ) -> dict[str, Any]:
         """See `Part.compute`: the outward normal of what each ray meets first, whatever noise made
         of its range."""
+        import numpy as np
+
         from lidarsim import AnalyticEngine
         from lidarsim.pose import rotate
 
@@ -47,6 +47,8 @@ class NormalsPart:
         self, fields: Mapping[str, Any], settings: Normals, *, exact: bool
     ) -> Iterator[str]:
         """See `Part.broken_laws`: normals have length 1 where a ray returned, and 0 elsewhere."""
+        import numpy as np
+
         lengths = np.linalg.norm(fields["return_normal"].astype(float), axis=-1)
         returned = np.isfinite(fields["ranges"])
         wrong = np.count_nonzero(lengths[~returned])

@@ -11,8 +11,10 @@ from typing import Any
 import msgspec
 
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
+from scenegen.dataset.locate import locate
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.opening import open_data
+from scenegen.dataset.schema import NAME
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
 from scenegen.files import size_of
@@ -170,10 +172,9 @@ def verify(
         GenerationError: `execute` lost a shard for good.
     """
     execute = execute or Local("", workers)
-    folders = [one.folder for one in open_data(dataset, partial=True).datasets]
     walks = [
         _Walk(folder, quick=quick, seed=seed, kind=kind, own=own, execute=execute)
-        for folder in folders
+        for folder in _folders_of(dataset)
     ]
     samples = sum(walk.samples for walk in walks)
     for number, walk in enumerate(walks):
@@ -189,6 +190,15 @@ def verify(
     return Report(
         folder=str(dataset), quick=quick, seed=seed, samples=samples, checks=tuple(outcomes)
     )
+
+
+def _folders_of(name: Any) -> list[Path]:
+    """The folders of the datasets that a name stands for. Of one dataset no manifest is read: that
+    it is damaged is a fault to report."""
+    folder = locate(name)
+    if (folder / NAME).exists():
+        return [folder]
+    return [dataset.folder for dataset in open_data(name, partial=True).datasets]
 
 
 class _Walk:

@@ -9,8 +9,6 @@ import h5py
 import numpy as np
 import pytest
 import torch
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_take
 
 from lidarsim import Lidar
 from scenegen.dataset.build import build

@@ -4,6 +4,7 @@ import json
 import time
 from pathlib import Path
 
+import msgspec
 import mujoco
 import pytest
 
@@ -118,7 +119,7 @@ def test_folders_under_data_without_samples_are_left_out(made, tmp_path, monkeyp
     full, begun = Path("data/full"), Path("data/begun")
     begun.mkdir(parents=True)
     full.symlink_to(made)
-    empty = {"shards": [], "complete": False, "digest": None}
-    manifest.write(begun, manifest.read(made) | empty)
-    assert find_datasets((), shown=True) == (full,)
+    empty = {"shards": (), "complete": False, "digest": None}
+    manifest.write(begun, msgspec.structs.replace(manifest.load(made), **empty))
+    assert [dataset.name for dataset in find_datasets((), shown=True)] == [str(full)]
     assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

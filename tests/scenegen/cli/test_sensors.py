@@ -85,12 +85,12 @@ def test_the_docs_have_the_pattern_of_every_sensor():
 def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1 --recipe"
     done(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")
-    made = Dataset(here / "d").manifest.parameters["lidar"]
+    made = Dataset(here / "d").manifest.tables.lidar
     assert (made["made_by"], made["shape"]) == ("robosense-helios-16p", [16, 1800])
     lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
     (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
     done(capsys, f"{command} in.toml --out e")
-    made = Dataset(here / "e").manifest.parameters["lidar"]
+    made = Dataset(here / "e").manifest.tables.lidar
     assert made["made_by"] == "robosense-helios-16p(max_range_m=20.0)"
 
 

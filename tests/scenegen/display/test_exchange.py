@@ -145,7 +145,9 @@ def labelled(tmp_path_factory):
     scenegen.generate(
         scene=folder / "town.xml", n=2, val=0, test=0, labels="class", out=folder / "d"
     )
-    classes = json.loads((folder / "d/dataset.json").read_text())["labels"]["classes"]
+    classes = json.loads((folder / "d/dataset.json").read_text())["recipe"]["parts"]["labels"][
+        "classes"
+    ]
     with h5py.File(folder / "d/train-00000.h5") as file:
         numbers = file["voxel_class"][:]
     assert set(SEMANTIC_KITTI) == {classes[number] for number in np.unique(numbers)}

@@ -11,15 +11,32 @@ import pytest
 import scenegen
 from lidarsim import GridSpec, Lidar
 from scenegen.cli.show import rejections
+from scenegen.dataset.opening import open_data
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import TITLES, inspect, misfits
 from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import done, run
 from tests.conftest import dataset_in, picky_recipe
-from tests.scenegen.dataset.test_mixed import RECIPE
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
+MIXED = """kind = "mixed"
+[grid]
+shape = [24, 24, 16]
+[flight]
+viewpoints = 2
+[accept]
+min_solids = 0
+min_occupied_share = 0
+min_returned_share = 0
+[[component]]
+kind = "pillar"
+weight = 3
+[[component]]
+kind = "maze"
+difficulty = "hard"
+weight = 1
+"""
 KEYS = {"occupied", "observed", "free", "unknown", "returned", "range_m", "tudf_m"}
 KEYS |= {*Difficulty._fields}
 SHARES = {"occupied": "occupancy", "observed": "observed", "free": "free"}
@@ -61,26 +78,26 @@ def full(tmp_path_factory):
 
 
 def test_counts_sizes_and_origin_are_those_of_the_folder(full):
-    found = inspect(full)
+    found = inspect(Dataset(full))
     manifest = json.loads(next(full.glob("*.json")).read_text())
     assert found["samples"] == sum(COUNTS.values())
     assert found["bytes"] == sum(len(path.read_bytes()) for path in full.iterdir())
     assert found["bytes_per_sample"] == pytest.approx(found["bytes"] / sum(COUNTS.values()))
-    for name in ("kind", "seed", "complete", "digest", "fields", "grid", "rejected"):
+    for name in ("seed", "complete", "digest", "fields", "rejected"):
         assert found[name] == manifest[name]
 
 
 @pytest.mark.parametrize("most", [1, 4])
 def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
-    split = inspect(full, most=most)["splits"]["train"]
+    split = inspect(Dataset(full), most=most)["splits"]["train"]
     assert (split["sampled"], split["samples"]) == (most, COUNTS["train"])
     chosen = [n * (COUNTS["train"] - 1) // max(most - 1, 1) for n in range(most)]
     check(split["statistics"], fields(full, "train"), chosen)
 
 
 def test_many_samples_are_measured_by_several_processes(full):
-    few, told = inspect(full, most=None, workers=2), []
-    assert few == inspect(full, most=None, workers=1, on_done=told.append)
+    few, told = inspect(Dataset(full), most=None, workers=2), []
+    assert few == inspect(Dataset(full), most=None, workers=1, on_done=told.append)
     assert sum(told) == sum(COUNTS.values())
     assert len(told) > 3
     assert list(few["splits"]) == ["train", "test"]
@@ -93,13 +110,13 @@ def test_many_samples_are_measured_by_several_processes(full):
 
 
 def test_figures_and_samples_are_told_by_kind(tmp_path):
-    (tmp_path / "r.toml").write_text(RECIPE)
+    (tmp_path / "r.toml").write_text(MIXED)
     options = {"n": 20, "val": 0, "test": 0, "workers": 1}
     mixed = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", **options)
     shown, _ = looks(mixed, "train", range(20))
     assert [shown[n].name for n in (0, 19)] == ["train 0, pillar", "train 19, maze-hard"]
     for most, chosen in ((20, range(20)), (3, (0, 9, 19))):
-        for kind, told in inspect(mixed.folder, most=most)["splits"]["train"]["kinds"].items():
+        for kind, told in inspect(mixed, most=most)["splits"]["train"]["kinds"].items():
             own = [shown[n] for n in chosen if shown[n].name.endswith(kind)]
             known = [look.masks["observed"] | look.masks["free"] for look in own]
             assert told["sampled"] == len(own)
@@ -108,17 +125,15 @@ def test_figures_and_samples_are_told_by_kind(tmp_path):
             assert found["tudf_m"]["mean"] == pytest.approx(np.mean([look.tudf for look in own]))
 
 
-def test_a_mixed_dataset_is_summed_up_on_one_screen(tmp_path, capsys):
-    """Each measure has a line, with its means and what it is; the rest needs `--details`."""
+def test_a_collection_has_a_line_for_each_measure(tmp_path, capsys):
+    """With its means and what it is; the rest needs `--details`."""
     recipe = tmp_path / "mixed.toml"
-    recipe.write_text(RECIPE)
+    recipe.write_text(MIXED)
     words = f"generate --recipe {recipe} --n 12 --val 0 --test 6 --quiet -o {tmp_path}/mixed"
     done(capsys, words)
     said = done(capsys, f"inspect {tmp_path}/mixed")
     lines = said.splitlines()
-    assert len(lines) <= 40
-    assert "made of   3 datasets: pillar, clutter, maze-hard\n" in said
-    splits = inspect(tmp_path / "mixed")["splits"]
+    splits = inspect(open_data(tmp_path / "mixed"))["splits"]
     for name in KEYS:
         (line,) = (line for line in lines if line.startswith(f"{name} "))
         for split in splits.values():
@@ -144,31 +159,32 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     """A table for another dataset has another name; a cut one is measured anew."""
     folder = shutil.copytree(full, tmp_path / "kept")
     words = f"take {folder} --where visibility_m>2.2 -o {tmp_path}"
-    done(capsys, f"{words}/measured")
+    done(capsys, f"{words}/measured.json")
     done(capsys, f"inspect {folder} --keep")
-    every = inspect(full, most=None)["splits"]
+    every = inspect(Dataset(full), most=None)["splits"]
     (told,) = folder.glob("figures-*.json")
     assert json.loads(told.read_text()) == every
     (file,) = folder.glob("figures-*.npy")
     content = file.read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr("scenegen.dataset.choose.difficulty", None)  # nothing measures
-        assert inspect(folder, most=1)["splits"] == every
-        done(capsys, f"{words}/read")
-    taken = [Dataset(tmp_path / name).manifest.digest for name in ("read", "measured")]
+        patch.setattr("scenegen.dataset.selection.MEASURED_AGAIN", 0)
+        patch.setattr("scenegen.dataset.selection.difficulty", None)  # nothing measures
+        assert inspect(Dataset(folder), most=1)["splits"] == every
+        done(capsys, f"{words}/read.json")
+    taken = [(tmp_path / f"{name}.json").read_bytes() for name in ("read", "measured")]
     assert taken[0] == taken[1]
     stored = fields(full, "train")
     shares = {n: stored["occupancy"][stored["world"] == n].mean() for n in set(stored["world"])}
     least = sorted(shares.values())[1] - 1e-9
     assert every["train"]["world_means"]["occupied"]["max"] == pytest.approx(max(shares.values()))
     words = f"--split train --where world_occupied>={least} -o {tmp_path}"
-    done(capsys, f"take {folder} {words}/worlds")
-    worlds, _ = Dataset(tmp_path / "worlds").split("train").numbers
+    done(capsys, f"take {folder} {words}/worlds.json")
+    worlds, _ = open_data(tmp_path / "worlds.json").split("train").numbers
     assert set(worlds) == {n for n, share in shares.items() if share > least}
-    assert "--keep" in run(capsys, f"take {full} {words}/none")[2]
+    assert "--keep" in run(capsys, f"take {full} {words}/none.json")[2]
     for damaged in (content[:-1], b"x" + content[1:]):
         file.write_bytes(damaged)
-        assert inspect(folder, most=1)["splits"]["train"]["sampled"] == 1
+        assert inspect(Dataset(folder), most=1)["splits"]["train"]["sampled"] == 1
 
 
 def test_a_split_without_returns_gives_valid_json(full, tmp_path, capsys):
@@ -176,7 +192,7 @@ def test_a_split_without_returns_gives_valid_json(full, tmp_path, capsys):
     for file in sorted(folder.glob("test-*.h5")):
         with h5py.File(file, "r+") as opened:
             opened["ranges"][:] = np.inf
-    found = inspect(folder)
+    found = inspect(Dataset(folder))
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     statistics = found["splits"]["test"]["statistics"]
     assert statistics["range_m"] == {"mean": None, "std": None, "min": None, "max": None}
@@ -191,7 +207,7 @@ def test_a_folder_of_datasets_is_listed(full, tmp_path, capsys):
     (tmp_path / "else").mkdir()
     bad, good = json.loads(done(capsys, f"inspect {tmp_path} --json"))
     assert good["samples"] == COUNTS
-    assert good["digest"] == inspect(full)["digest"]
+    assert good["digest"] == inspect(Dataset(full))["digest"]
     assert "dataset.json" in bad["fault"]
 
 

@@ -17,8 +17,7 @@ SAMPLES = sum(COUNTS.values())
 COMMANDS = """
 verify d --json
 convert d --to webdataset
-rescan d --noise range:0.02
-take d --n 4
+generate --like d --noise range:0.02
 complete d --weights n.safetensors --batch 2 --device cpu
 bench d --quick --weights n.safetensors --method returns --method truth
 """

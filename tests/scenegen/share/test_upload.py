@@ -37,7 +37,7 @@ def test_what_arrives_is_the_folder_the_tag_comes_last_and_nothing_goes_twice(as
 
 def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monkeypatch):
     """Here, ten shards take the place of a thousand."""
-    monkeypatch.setattr("scenegen.dataset.rules.DIGITS", 1)
+    monkeypatch.setattr("scenegen.dataset.schema.INDEX_DIGITS", 1)
     monkeypatch.setattr("scenegen.share.upload.IN_COMMIT", 9)
     monkeypatch.setattr("scenegen.dataset.locate.MANY", 9)
     deep = asked.out.with_name("deep")
@@ -81,7 +81,7 @@ def test_a_tag_of_other_content_is_let_be(asked, hub):
 def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked, hub):
     hub.repositories[asked.repository] = former = Repository()
     mine = {"notes.md", "pictures/mine.png"}
-    old = {"train-00099.h5", "sensor.toml", "rays.npy", "figures-0123456789abcdef.npy"}
+    old = {"train-00099.h5", "rays.npy", "figures-0123456789abcdef.npy"}
     former.commit(dict.fromkeys(mine | old, b"mine"))
     publish(asked)
     there = former.files("main").items()

