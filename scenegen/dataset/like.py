@@ -271,11 +271,8 @@ def _manifest_of(path: Path, kind: str | None) -> Manifest:
 
 def check_same(original: Manifest, name: str | Path) -> None:
     """Raise DatasetError where this scenegen draws other worlds of the same recipe."""
-    here = {"generator": GENERATOR}
-    stored = {"generator": original.generator}
-    if original.is_drawn:
-        here["recipe.version"] = original.recipe.version
-        stored["recipe.version"] = original.tables.version
+    here = {"generator": GENERATOR, "recipe.version": original.recipe.version}
+    stored = {"generator": original.generator, "recipe.version": original.tables.version}
     if lines := differences(stored, here, ("there", "here")):
         made_by = original.software.get("scenegen", "of another version")
         raise DatasetError(

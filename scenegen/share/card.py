@@ -11,7 +11,7 @@ from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from lidarsim.engines import ENGINES, MUJOCO
+from lidarsim.engines import MUJOCO
 from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, VERSION, pattern_of
@@ -122,7 +122,6 @@ def command(made: Manifest, repository: str, tag: str) -> str:
     like = NAME if drawn else f"hf://{repository}@{tag}"
     words = ["scenegen", "generate", "--like", like, "--out", repository.rpartition("/")[2]]
     words += ["--kind", made.kind] if ":" in made.kind else []
-    words += ["--engine", made.engine] if made.engine not in ENGINES.builtin else []
     return shlex.join(words)
 
 

@@ -125,8 +125,6 @@ def examine(request: Request) -> Dataset:
             "which are not imported; it cannot be said whether its command makes the same ranges "
             "again"
         )
-    if request.kind is not None:
-        made = manifest.parse(manifest.read_content(request.dataset), request.dataset, request.kind)
     with raised_as(PublishError, of=DatasetError):
         check_same(made, str(request.dataset))
     return dataset
