@@ -16,7 +16,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, ScenegenError, printable, raised_as
+from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
 from scenegen.files import Json, read_bounded, write_whole
 from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
 from scenegen.model.config import NetworkConfig, is_own
@@ -24,6 +24,8 @@ from scenegen.model.network import build
 
 FORMAT = "scenegen-network"
 VERSION = 1
+STEM_STRIDE = 2
+"""The only stem there is; headers of earlier versions name it."""
 DTYPES = (torch.float32, torch.int64)
 """What weights and counts are stored as."""
 PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")
@@ -136,10 +138,22 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
         )
 
 
+def current_settings(network: Json) -> Json:
+    """The settings of a network, without the stem stride that versions up to 0.2.0 wrote.
+
+    Raises:
+        ValueError: if the network has a stem that this version does not build.
+    """
+    network = dict(network)
+    if (stride := network.pop("stem_stride", STEM_STRIDE)) != STEM_STRIDE:
+        raise ValueError(f"stem_stride = {short(stride)}: networks have {STEM_STRIDE}")
+    return network
+
+
 def network_from(header: Json) -> tuple[NetworkConfig, GridSpec]:
     """The network and the grid that a header names; nothing is imported for it. Raises KeyError,
     TypeError or ValueError where it names none, or one that is too large."""
-    config = NetworkConfig(**header["network"])
+    config = NetworkConfig(**current_settings(header["network"]))
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)
     return config, grid

@@ -139,9 +139,6 @@ class NetworkConfig:
     return, alone); one's own as module:function."""
     width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
-    stem_stride: Literal[1, 2] = 2
-    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second,
-    after one at full resolution (ours)."""
     heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
     height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)

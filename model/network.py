@@ -92,9 +92,8 @@ class Network(nn.Module):
         self.tasks = variant.tasks
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
-        stride = config.stem_stride
         self.preprocess = nn.Sequential(
-            *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
+            *_convolution(inputs, finest, stride=2), *_convolution(finest, finest)
         )
         self.encoder = nn.ModuleList(
             nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))

@@ -129,11 +129,7 @@ class Weighted(click.ParamType):
     default=NetworkConfig.inputs,
     help=f"A channel that it takes: {', '.join(INPUTS.builtin)}, or MODULE:FUNCTION; repeatable.",
 )
-@options_of(
-    NetworkConfig,
-    width="Channels at the first level.",
-    stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
-)
+@options_of(NetworkConfig, width="Channels at the first level.")
 @click.option(
     "--weights",
     type=Weights(),
@@ -179,7 +175,7 @@ class Weighted(click.ParamType):
 )
 @out_option("The run's folder.  [default: runs/<variant>]")
 @printing
-@group("Network", "variant input width stem-stride weights")
+@group("Network", "variant input width weights")
 @group("Loss", "loss lambda-occupancy lambda-tudf eikonal occupied-weight lovasz beta")
 @group(
     "Training",

@@ -95,8 +95,8 @@ def card(name: str, about: Json) -> str:
     }
     return f"""# {name}
 
-A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, \
-stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
+A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}. \
+It takes {", ".join(network["inputs"])} of one map{gives}.
 
 | trained | |
 |---|---|

@@ -20,7 +20,13 @@ from scenegen.dataset.parts import plain
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
-from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from scenegen.model.checkpoint import (
+    CheckpointError,
+    current_settings,
+    load_tensors,
+    save_network,
+    save_tensors,
+)
 from scenegen.model.training.card import Scalars, card, draw, read_rows
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
@@ -122,7 +128,9 @@ class RunFolder:
     def settings(self) -> Json:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+            content = read_bounded(self.path / CONFIG, MOST_HEADER_BYTES)
+            settings = dict(json.loads(content)["settings"])
+            return settings | {"network": current_settings(settings["network"])}
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another "
