@@ -213,28 +213,21 @@ class FinalUp(nn.Module):
     upper bound of the logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, below: int, width: int, fields: int = 1):
+    def __init__(self, below: int, width: int):
         super().__init__()
         self.refine = nn.Sequential(
-            *_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True)
+            *_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True)
         )
-        self.split = Conv3d(fields * width, fields * 8, 3, padding=1)
+        self.split = Conv3d(width, 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """As the class says."""
-        return self.each(x)[0]
-
-    def each(self, x: Tensor) -> list[Tensor]:
-        """The fields (B, X, Y, Z) that this head gives."""
         x = self.refine(x)
         # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
         with torch.autocast(x.device.type, enabled=False):
-            found = self.split(x.float())
-        cells = (field.unflatten(1, (2, 2, 2)) for field in found.split(8, dim=1))
+            cells = self.split(x.float()).unflatten(1, (2, 2, 2))
         # (B, i, j, k, x, y, z) → (B, x, i, y, j, z, k) → (B, X, Y, Z)
-        return [
-            c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells
-        ]
+        return cells.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2)
 
 
 class Columns(nn.Module):

@@ -25,7 +25,7 @@ from scenegen.files import Json, check_ours, read_bounded, write_result
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Batch, FinalUp, Network, Output, prefers_bfloat16
+from scenegen.model.network import Batch, Output, prefers_bfloat16
 from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
@@ -251,42 +251,17 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
 
 
 class Traced(nn.Module):
-    """A network whose output is a plain tuple, as tracing wants it, and whose heads are one where
-    they read the same features: two convolutions in place of four, the second half zeros, take less
-    time."""
+    """A network whose output is a plain tuple, as tracing wants it."""
 
     def __init__(self, network: Any):
         super().__init__()
         self.network = network
-        shared = isinstance(network, Network) and len(network.head) > 1
-        self.heads = _joined(network) if shared and "tudf" not in network.decoder else None
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """The network's inputs in their order, (B, X, Y, Z) each → its outputs, those of
         `NAMES`."""
-        batch = dict(zip(self.network.config.inputs, inputs, strict=True))
-        if self.heads is None:
-            output = Output(*self.network(batch))
-        else:
-            found = self.heads.each(self.network.features(batch)["shared"])
-            output = Output.of(dict(zip(self.network.head, found, strict=True)))
+        output = self.network(dict(zip(self.network.config.inputs, inputs, strict=True)))
         return tuple(part for part in output if part is not None)
-
-
-def _joined(network: Network) -> FinalUp:
-    """One head that gives the fields of all: its filters are theirs, with zeros between what
-    belongs to two."""
-    states = [head.state_dict() for head in network.head.values()]
-    state = {
-        name: torch.cat([one[name] for one in states]) if values.ndim else values
-        for name, values in states[0].items()
-    }
-    filters = torch.block_diag(*(one["split.weight"].flatten(1) for one in states))
-    state["split.weight"] = filters.unflatten(1, (-1, 3, 3, 3))
-    width, below = states[0]["refine.0.weight"].shape[:2]
-    whole = FinalUp(below, width, len(states))
-    whole.load_state_dict(state)
-    return whole
 
 
 def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> None:

@@ -79,12 +79,11 @@ def test_threads_get_the_answer_to_their_own_map(exported, runtime):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_what_is_exported_is_the_network(variant):
-    """Heads that read the same features are exported as one."""
+    """As a tuple of what it predicts."""
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
     network.train()(seen(2))  # whose statistics differ from head to head
     maps, traced = seen(2)["observed"], Traced(network).eval()
-    assert (traced.heads is not None) == (variant == "columns")
     with torch.no_grad():
         found, expected = traced(maps), network({"observed": maps})
     for one, other in zip(
@@ -268,8 +267,8 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
         set_weight(np.nan, "network.columns.down.0.0.weight"),  # OpenVINO's maps stay finite
         set_weight(np.nan, "threshold_cast"),  # and with this, all runtimes'
         set_weight(np.inf, "network.columns.stem.0.weight_bias"),
-        set_weight(np.nan, "heads.split.weight", np.float64),
-        set_weight(np.nan, "heads.split.weight", np.float16),
+        set_weight(np.nan, "network.head.tudf.split.weight", np.float64),
+        set_weight(np.nan, "network.head.tudf.split.weight", np.float16),
         add_node(value_float=np.nan),
         add_node(value_floats=[0.0, np.nan]),
         add_sparse,
