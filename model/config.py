@@ -224,9 +224,8 @@ class TrainConfig:
     """Maps between two looks at validation; a pass over all maps unless given (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
-    optimizer: Literal["auto", "muon", "adamw"] = "auto"
-    """What makes a step of a gradient; docs/training.md compares them. Auto is muon, and for a run
-    of 0.2.0, which had no other, adamw (ours)."""
+    optimizer: Literal["muon", "adamw"] = "muon"
+    """What makes a step of a gradient; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)

@@ -109,7 +109,7 @@ class Weighted(click.ParamType):
     epochs="The budget in passes over the datasets.",
     interval="Maps between two validations, instead of a pass.",
     batch="Maps a step, on all devices together.",
-    optimizer="The optimizer; auto is muon, or what a run began with.",
+    optimizer="The optimizer.",
     lr="Learning rate after the warm-up.",
     schedule="How the rate falls: once validation stalls or the budget nears its end, along a "
     "cosine, or never.",

@@ -32,7 +32,6 @@ from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
-    SharedNorm,
     TrainingError,
     autocast,
     choose_device,
@@ -91,20 +90,16 @@ def train(
     variant = config.network.variant
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
         config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
-    # where nothing is asked for, a run keeps what it was begun with
-    former: Json = {"optimizer": "muon"}
-    if (out / CONFIG).exists():
-        former = RunFolder(out).settings()
-    if config.optimizer == "auto":
-        config = replace(config, optimizer=former.get("optimizer", "adamw"))
-    wanted = former.get("precision", "auto") if config.precision == "auto" else config.precision
-    precision = resolve_precision(wanted, where, maps.grid.shape)
-    group = Group(where, precision)
+    precision = config.precision
+    if precision == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
+        precision = RunFolder(out).settings()["precision"]
+    dtype = resolve_precision(precision, where, maps.grid.shape)
+    group = Group(where, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
-        settings = describe(maps, config, precision)
+        settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
         rehearse(network, config, checks, where)
@@ -172,10 +167,8 @@ class Step:
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
         model = self.network
         if self.group.size > 1:
-            if self.group.device.type == "cuda":
+            if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
-            else:
-                SharedNorm.within(model)
             own = is_own(self.config.network.variant)  # and may have weights that it does not use
             model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
@@ -184,8 +177,7 @@ class Step:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
-        Raises TrainingError where memory runs out, which says what would fit, or torch cannot
-        compile.
+        Raises TrainingError where memory runs out, or torch cannot compile.
         """
         for parameters in self.optimizer.param_groups:
             parameters["lr"] = rate
@@ -193,12 +185,13 @@ class Step:
             return self.group.mean(self._learn(batch))
         except (RuntimeError, MemoryError) as error:
             if is_out_of_memory(error):
-                told = self._too_large(batch)
+                maps = len(batch["occupancy"]) * self.group.size
+                message = f"out of memory: a batch of {maps} does not fit; give a smaller --batch"
             elif type(error).__module__.startswith("torch._"):  # what `--compile` calls
-                told = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
+                message = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
             else:
                 raise
-        raise TrainingError(told)
+            raise TrainingError(message) from None
 
     def _learn(self, batch: Batch) -> Scalars:
         batch = {
@@ -213,24 +206,6 @@ class Step:
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
-
-    def _too_large(self, batch: Batch) -> str:
-        """Which batch would fit, found by trying."""
-        processes, maps = self.group.size, len(batch["occupancy"])
-        said = f"out of memory: a batch of {maps * processes} does not fit"
-        if processes > 1:  # trying would wait for the others, who are not trying
-            return f"{said}; give a smaller --batch"
-        fits = maps // 2
-        while fits:
-            try:
-                self.optimizer.zero_grad()
-                if self.group.device.type == "cuda":
-                    torch.cuda.empty_cache()
-                self._learn({name: values[:fits] for name, values in batch.items()})
-                return f"{said}; --batch {fits * processes} does"
-            except (RuntimeError, MemoryError):
-                fits //= 2
-        return f"{said}, nor does one map: use a machine with more memory, or a smaller grid"
 
 
 class Muon(torch.optim.AdamW):

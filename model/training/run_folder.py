@@ -90,7 +90,7 @@ class RunFolder:
     def __init__(self, path: Path, *, writes: bool = True):
         self.path, self._writes = path, writes
         self._lock: int | None = None
-        self._saved = self._drawn = time.monotonic()
+        self._saved = time.monotonic()
         self._learns: tuple[nn.Module, torch.optim.Optimizer]
 
     def open(self, settings: Json) -> None:
@@ -114,7 +114,11 @@ class RunFolder:
         remove_drafts(self.path)
         config = self.path / CONFIG
         if config.exists():
-            check_settings(self.path, self.settings(), plain(settings["settings"]))
+            if unlike := differences(self.settings(), plain(settings["settings"])):
+                raise DatasetError(
+                    f"{self.path}: was begun with other settings "
+                    f"({printable('; '.join(unlike))[:1000]}); give those, or another --out"
+                )
             return
         if odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
@@ -171,9 +175,6 @@ class RunFolder:
             write_whole(self.path / CARD, card(self.path.name, told).encode())
         self.write_rows(rows)
         self.save(progress)
-        if time.monotonic() - self._drawn > SAVE_EVERY_S:  # which takes as long as some maps
-            self.draw_rows(rows)
-            self._drawn = time.monotonic()
 
     def best(self) -> Scalars | None:
         """The figures of the network that the run keeps; None before there is one."""
@@ -224,8 +225,8 @@ class RunFolder:
                 writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
 
     def draw_rows(self, rows: list[Scalars]) -> None:
-        """Draw the figures that `write_rows` wrote, where matplotlib is installed and they are not
-        drawn yet."""
+        """Draw the figures that `write_rows` wrote, if matplotlib is installed and they are not
+        drawn yet: `scenegen render` draws those of a run that has not ended."""
         files = self.path / CURVE, self.path / ROWS
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
         if drawn < written and self._writes:
@@ -233,16 +234,6 @@ class RunFolder:
                 from scenegen.display.panels import to_bytes
 
                 write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
-
-
-def check_settings(path: Path, there: Json, asked: Json) -> None:
-    """Raise DatasetError where what is at `path` was begun with other settings than `asked`."""
-    usual = {"optimizer": "adamw"}  # in 0.2.0 there was no other
-    if unlike := differences(usual | there, usual | asked):
-        raise DatasetError(
-            f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
-            "those, or another --out"
-        )
 
 
 FACTS = (
