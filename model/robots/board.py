@@ -72,7 +72,7 @@ def leaderboard(folder: Path) -> str:
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
     head sorts by it.
 
-    Scores are those of the recorded outcomes, times and lengths, which `--replay` checks. Raises
+    Scores are those of the recorded outcomes, times and lengths, which `fly replay` checks. Raises
     DatasetError for a file that is no entry, or has courses that are not its suite's.
     """
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
@@ -84,7 +84,7 @@ def leaderboard(folder: Path) -> str:
         key = (str(entry.suite), str(part), *row.worlds)
         tables.setdefault(key, (part, []))[1].append(row)
     if not tables:
-        raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
+        raise ScenegenError(f"{folder}: holds no entry, .json as `scenegen fly suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
     body = ""
     for (suite, title, *_), (_, rows) in whole_first:
