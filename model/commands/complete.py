@@ -187,7 +187,9 @@ def _complete_split(
     from scenegen.model.completion.predictions import predict_split
 
     progress = partial(Progress, shown=not quiet)
-    away = predict_split(completer, folder, split, out, execute=execute, progress=progress)
+    away, damaged = predict_split(completer, folder, split, out, execute=execute, progress=progress)
+    for name in damaged:
+        note(f"{out / name}: was not as it was written; it was completed again")
     for warning in () if quiet else completer.unlike(Dataset(folder).settings):
         note(f"note: {warning}")
     far = sum(one >= UNUSUAL for one in away)

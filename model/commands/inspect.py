@@ -112,7 +112,7 @@ def _facts(path: Path, columns: int | None) -> Json | None:
         return scan_facts(path, columns)
     # what these import loads torch
     if path.suffix == ".h5":
-        from scenegen.model.completion.predictions import prediction_facts
+        from scenegen.model.completion.stored import prediction_facts
 
         return prediction_facts(path)
     if (path / "metrics.csv").is_file():

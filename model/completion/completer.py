@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -188,7 +188,7 @@ class Completer:
             prediction = Prediction(probability, tudf, self.calibration, seen)
             return check_prediction(prediction, shape, self.name)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the network's file."""
         return file_sha256(locate(self.opened[0]))

@@ -22,7 +22,6 @@ from scenegen.cli.show import Progress, note, say
 from scenegen.cloud_arrays import read_npz
 from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
 from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look, evenly
 from scenegen.display.page import page
@@ -34,8 +33,8 @@ from scenegen.logs.log import Log
 from scenegen.logs.read import is_log, read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.predictions import PACKED, new_hdf5
 from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
+from scenegen.model.completion.stored import DIGEST, check_digest, digest_of, new_hdf5, write_map
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
 
@@ -151,9 +150,14 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
 
 
 def predict_scan(
-    completer: Completer, scan: Scan, out: Path, *, thresholds: Thresholds | None = None
+    completer: Completer,
+    scan: Scan,
+    out: Path,
+    *,
+    name: str = "",
+    thresholds: Thresholds | None = None,
 ) -> Completed:
-    """Complete one scan.
+    """Complete one scan, which `out` then calls `name`, by default as it is called.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, the truth if there is one, and
     the grid) or a point cloud (``.ply``: the centres of the voxels that are occupied at
@@ -174,8 +178,9 @@ def predict_scan(
     if out.suffix == ".ply":
         write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
-        about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
+        about = _about(completer, name or scan.name)
         predicted = {name: getattr(prediction, name) for name in STORED}
+        about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m}
         _write(out, about, maps | predicted | truth)
     return Completed(
         completer=completer.name,
@@ -197,16 +202,32 @@ def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
     return truth if fits and scan.truth.get("voxel_m") == grid.voxel_m else {}
 
 
+def _about(completer: Completer, name: str) -> dict[str, Any]:
+    """What a file says of the scan called `name` that it completes."""
+    return {"method": completer.name, "weights": completer.digest, "scan": name}
+
+
 def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
-    """Write a completion: maps (*grid.shape) but for those that are None, each as one chunk."""
+    """Write a completion: maps (*grid.shape) but for those that are None."""
+    maps = {name: values for name, values in maps.items() if values is not None}
     with new_hdf5(out) as file:
-        file.attrs.update(about)
         for name, values in maps.items():
-            if values is not None:
-                chunk = file.create_dataset(
-                    name, values.shape, values.dtype, chunks=values.shape, **PACKED
-                )
-                chunk.id.write_direct_chunk((0, 0, 0), compress(values))
+            write_map(file, name, values)
+        file.attrs.update({**about, DIGEST: digest_of(about, maps).hex()})
+
+
+def _is_intact(path: Path, about: Mapping[str, str]) -> bool:
+    """Whether a file holds what was written of the scan that it is `about`."""
+    try:
+        return read_guarded(partial(_check, about=about), path, MOST_SCAN_BYTES)
+    except DatasetError:
+        return False
+
+
+def _check(path: Path, *, about: Mapping[str, str]) -> bool:
+    with h5py.File(path, "r") as file:
+        check_digest(file, list(file))
+        return all(file.attrs.get(name) == value for name, value in about.items())
 
 
 def height_above_returns(points: Floats) -> float | None:
@@ -332,8 +353,8 @@ def complete_all(
     """Complete scans into files of their names in the folder `out`, and write a page of at most so
     many.
 
-    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
-    end where some could not be completed.
+    Those that are there, as they were written, are passed over. Raises DiskError at once, and
+    DatasetError at the end where some could not be completed.
     """
     count, scans = tasks
     done, there, broken = [], [], 0
@@ -341,9 +362,13 @@ def complete_all(
         progress.start(count)
         for name, read in scans:
             target = out / f"{name}.h5"
-            if not target.exists():
+            intact = target.exists() and _is_intact(target, _about(completer, name))
+            if target.exists() and not intact:
+                note(f"{target}: is damaged, or of another scan; it is completed again")
+                target.unlink()
+            if not intact:
                 try:
-                    done.append(predict_scan(completer, read(), target))
+                    done.append(predict_scan(completer, read(), target, name=name))
                 except DiskError:
                     raise
                 except DatasetError as error:
