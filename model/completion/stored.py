@@ -3,6 +3,8 @@
 import hashlib
 import io
 import json
+import math
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -174,13 +176,36 @@ def _check_arrays(
         expected = (*file["world"].shape[:1], *row_shapes.get(name, shape))
         if data.shape != expected:
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
-        if data.chunks and np.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
-            raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
+        if data.chunks:
+            _check_chunks(name, data)
     if (count := file["world"].shape[0]) > most:
         raise DatasetError(f"predicts {count} samples, expected {most} at most")
     for name in names:  # HDF5 would make up zeros
         if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
             raise DatasetError(f"{name} is not written to its end; predict each sample once")
+
+
+def _check_chunks(name: str, data: h5py.Dataset) -> None:
+    """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever
+    comes out."""
+    size = math.prod(data.chunks) * data.dtype.itemsize
+    if size > MOST_CHUNK_BYTES:
+        raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
+    plan = data.id.get_create_plist()
+    filters = [plan.get_filter(n)[0] for n in range(plan.get_nfilters())]
+    if not set(filters) <= {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE}:
+        raise DatasetError(f"{name} has filters {filters}; store it plain or with gzip")
+    places: list[tuple[int, ...]] = []
+    data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
+    for place in places:
+        left_out, packed = data.id.read_direct_chunk(place)
+        if h5py.h5z.FILTER_DEFLATE in filters and not left_out:
+            with raised_as(DatasetError, f"{name}: its chunk at {place}: ", of=zlib.error):
+                packed = zlib.decompress(packed)
+        if len(packed) != size:
+            raise DatasetError(
+                f"{name}: its chunk at {place} holds {len(packed)} bytes, not {size}"
+            )
 
 
 def pairs_in(file: h5py.File) -> list[tuple[int, int]]:

@@ -3,11 +3,10 @@ Markdown and one HTML page for people. The page has no script and fetches nothin
 are shown as text alone."""
 
 import base64
-import html
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +17,9 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.paper import PAPER, TUNED
 from scenegen.model.evaluation.reliability import reliability, reliability_tables
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import caution, cell, interval, table, with_std
+from scenegen.model.evaluation.statistics import caution, cell, interval, with_std
 from scenegen.model.evaluation.visibility import CLASSES
+from scenegen.model.tables import Table, as_text, page
 
 BEST_IOU = "best_iou"
 """A column of the tables."""
@@ -130,19 +130,6 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     yield "planning, known space marked", metrics, planning, paper
 
 
-class Table(NamedTuple):
-    """A table of the report, as it is shown."""
-
-    title: str
-    heads: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[str]]]
-    """Names and cells."""
-    paper: Sequence[tuple[str, Sequence[str]]] = ()
-    """Rows of the paper's figures."""
-    best: Collection[tuple[str, int]] = ()
-    """The best cells: rows' names and columns."""
-
-
 def blocks(report: Json, kind: str) -> Iterator[str | Table]:
     """What people are shown of one kind: sentences and tables."""
     about = report["datasets"][kind]
@@ -230,95 +217,31 @@ def to_markdown(report: Json) -> str:
     parts = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
         parts.append(f"## {kind}")
-        for shown in blocks(report, kind):
-            if isinstance(shown, str):
-                parts.append(shown)
-                continue
-            paper = [
-                (f"*{method}*", [text if text == "–" else f"*{text}*" for text in cells])
-                for method, cells in shown.paper
-            ]
-            parts += [f"### {shown.title}", table(shown.heads, [*shown.rows, *paper])]
+        parts += [
+            shown if isinstance(shown, str) else shown.markdown() for shown in blocks(report, kind)
+        ]
     return "\n\n".join(parts) + "\n"
-
-
-STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
-  margin: 0 auto; padding: 1rem; max-width: 70rem; }
-h1, h2, h3 { line-height: 1.2; }
-h2 { margin-top: 2.2rem; border-top: 1px solid #d5dae1; padding-top: 1rem; }
-dl { display: grid; grid-template-columns: auto 1fr; gap: 0 1rem; }
-dd { margin: 0; overflow-wrap: anywhere; }
-.wide { overflow-x: auto; margin: .6rem 0; }
-table { border-collapse: collapse; }
-th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; }
-th:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
-thead th { border-bottom: 1px solid #59636e; }
-tbody tr:nth-child(odd), tbody tr:nth-child(odd) th:first-child { background: #f5f7f9; }
-small { color: #59636e; display: block; font-weight: 400; }
-.paper { font-style: italic; }
-.best { font-weight: 700; }
-.charts { display: flex; flex-wrap: wrap; gap: 1rem; }
-figure { margin: 0; flex: 1 1 20rem; max-width: 34rem; }
-figcaption { font-weight: 600; }
-img { width: 100%; height: auto; }
-"""
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-"""
 
 
 def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
     """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
     shows, and a WebP image."""
     about = "".join(
-        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>"
+        f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
         for name, value in report.items()
         if isinstance(value, str)
     )
-    body = [f"<h1>Bench</h1><dl>{about}</dl>"]
+    body = [f"<dl>{about}</dl>"]
     for kind in report["datasets"]:
-        body.append(f"<h2>{_text(kind)}</h2>")
-        body += [block(shown) for shown in blocks(report, kind)]
-        body.append(framed(pictures.get(kind, ())))
-    head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
-    return f"{head}<body>{''.join(body)}</body></html>\n"
-
-
-def framed(pictures: Sequence[tuple[str, bytes]]) -> str:
-    """Pictures, WebP, side by side, each below its words."""
-    images = [
-        f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
-        f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-        for told, image in pictures
-    ]
-    return f"<div class='charts'>{''.join(images)}</div>"
-
-
-def block(shown: str | Table) -> str:
-    """A sentence or a table; the spread of a figure stands below it."""
-    if isinstance(shown, str):
-        return f"<p>{_text(shown)}</p>"
-    lines = ""
-    for number, (method, texts) in enumerate((*shown.rows, *shown.paper)):
-        is_paper = number >= len(shown.rows)
-        cells = ""
-        for column, text in enumerate(texts):
-            mean, _, spread = text.partition(" ")
-            is_best = not is_paper and (method, column) in shown.best
-            mark = " class='best'" * is_best
-            cells += f"<td{mark}>{_text(mean)}<small>{_text(spread)}</small></td>"
-        mark = " class='paper'" * is_paper
-        lines += f"<tr{mark}><th>{_text(method)}</th>{cells}</tr>"
-    heads = "".join(f"<th>{_text(head)}</th>" for head in shown.heads)
-    return (
-        f"<h3>{_text(shown.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
-        f"</thead><tbody>{lines}</tbody></table></div>"
-    )
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))
+        body.append(f"<h2>{as_text(kind)}</h2>")
+        body += [
+            f"<p>{as_text(shown)}</p>" if isinstance(shown, str) else shown.html()
+            for shown in blocks(report, kind)
+        ]
+        images = [
+            f"<figure><figcaption>{as_text(told)}</figcaption><img alt='{as_text(told)}' "
+            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
+            for told, image in pictures.get(kind, ())
+        ]
+        body.append(f"<div class='charts'>{''.join(images)}</div>")
+    return page("Bench", "".join(body))

@@ -9,8 +9,8 @@ from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
-from scenegen.model.evaluation.report import HEAD, STYLE, Table, block
 from scenegen.model.evaluation.statistics import Scale, brief, summarise
+from scenegen.model.tables import Table, page
 
 
 class Column(NamedTuple):
@@ -37,6 +37,7 @@ BOARD = {
 }
 BEST = "score, less the best's"
 """The last column: the differences flight by flight."""
+WIDE = " body { max-width: none; } th { cursor: pointer; }"
 SORTED = """
 for (const head of document.querySelectorAll("th")) head.onclick = () => {
   const rows = [...head.closest("table").tBodies[0].rows], n = head.cellIndex;
@@ -90,11 +91,8 @@ def leaderboard(folder: Path) -> str:
     for (suite, title, *_), (_, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
         cells = [(row.robot, _cells(row, rows[0])) for row in rows]
-        body += block(Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells))
-    page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
-    style = f"{STYLE} body {{ max-width: none; }} th {{ cursor: pointer; }}"
-    page += f"<title>Robots</title><style>{style}</style></head>"
-    return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
+        body += Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells).html()
+    return page("Robots", body, style=WIDE, script=SORTED)
 
 
 def _row(entry: Recording) -> Row:
