@@ -230,12 +230,10 @@ class TrainConfig:
     """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
-    schedule: Literal["decay", "cosine", "constant"] = "decay"
+    schedule: Literal["decay", "constant"] = "decay"
     """How the learning rate falls. "decay": it stays level until validation stalls or the budget
-    nears its end, then falls along a line to 0, where training ends (ours). "cosine": it falls
-    along a cosine, to 0 at the end of the budget, and training is cut off where validation
-    stalls. "constant": it never falls and has no warm-up; training ends where validation
-    stalls."""
+    nears its end, then falls along a line to 0, where training ends (ours). "constant": it never
+    falls and has no warm-up; training ends where validation stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)

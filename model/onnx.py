@@ -127,11 +127,21 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"its header is damaged ({printable(error)[:200]}); export it again"
         ) from None
     graph = model.graph
+    attributes = [each for node in graph.node for each in node.attribute]
+    tensors = [
+        *graph.initializer,
+        *(each.t for each in attributes),
+        *(tensor for each in attributes for tensor in each.tensors),
+    ]
     odd = sorted({node.op_type for node in graph.node if node.op_type in LOOPS or node.domain})
-    tensors = _tensors(graph)
-    if odd or model.functions or any(tensor.data_location for tensor in tensors):
+    elsewhere = any(tensor.data_location for tensor in tensors)
+    sparse = graph.sparse_initializer or any(
+        each.HasField("sparse_tensor") or each.sparse_tensors for each in attributes
+    )
+    if odd or model.functions or elsewhere or sparse:
         raise CheckpointError(
-            f"has loops or parts elsewhere, which no export may have ({printable(odd)[:100]})"
+            "has loops, sparse tensors or parts elsewhere, which no export has "
+            f"({printable(odd)[:100]})"
         )
     inputs = [each.name for each in graph.input]
     if sorted(inputs) != sorted(config.inputs):
@@ -149,23 +159,6 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"{' and '.join(variant.tasks)}; export it again"
         )
     return config, grid, about, tuple(NAMES[task] for task in tasks)
-
-
-def _tensors(graph: Any) -> list[Any]:
-    """All tensors of a graph without subgraphs: its weights, and constants among its nodes. Sparse
-    ones are as their values and indices."""
-    attributes = [each for node in graph.node for each in node.attribute]
-    sparse = [
-        *graph.sparse_initializer,
-        *(each.sparse_tensor for each in attributes),
-        *(tensor for each in attributes for tensor in each.sparse_tensors),
-    ]
-    return [
-        *graph.initializer,
-        *(each.t for each in attributes),
-        *(tensor for each in attributes for tensor in each.tensors),
-        *(part for tensor in sparse for part in (tensor.values, tensor.indices)),
-    ]
 
 
 def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:

@@ -1,5 +1,5 @@
-"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, of a
-log, or of what a sensor sees in a map."""
+"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, or of a
+log."""
 
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 COMPLETIONS = "completions.json"
 """The file of a folder of completions that says of which scans they are, and whose."""
 MOST_SHOWN = 24
-"""Completions on the page of a folder, a log or a map, evenly spread."""
+"""Completions on the page of a folder or a log, evenly spread."""
 
 
 @command(
@@ -41,7 +41,6 @@ MOST_SHOWN = 24
     "complete scan.ply --sensor 0 0 1.2",
     "complete kitti/sequences/00/velodyne -o completed",
     "complete drive.mcap --every 10 -o completed",
-    "complete campus.bt --n 50 -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(
@@ -57,7 +56,7 @@ MOST_SHOWN = 24
     "--out",
     "out",
     type=OutputFile(folders=True),
-    help="File to write; of a dataset, a folder of scans, a log or a map, a folder.  [default: "
+    help="File to write; of a dataset, a folder of scans or a log, a folder.  [default: "
     "predictions, or <scan>.completed.h5]",
 )
 @click.option(
@@ -74,9 +73,6 @@ MOST_SHOWN = 24
     help="Complete every n-th scan of a folder or a log.",
 )
 @log_options
-@click.option(
-    "--n", "count", type=click.IntRange(1, 10**6), default=MOST_SHOWN, help="Viewpoints in a map."
-)
 @device_option
 @click.option(
     "--batch",
@@ -87,13 +83,12 @@ MOST_SHOWN = 24
 @workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "n sensor columns every poses poses-of topic fixed-frame")
+@group("Scans and logs", "sensor columns every poses poses-of topic fixed-frame")
 def complete(
     source: Path | str,
     weights: str,
     split: str,
     out: Path | None,
-    count: int,
     device: str,
     batch: int,
     workers: int,
@@ -104,13 +99,12 @@ def complete(
     columns: int | None,
     log_reading: dict[str, Any],
 ) -> None:
-    """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
+    """Complete a dataset's split, a scan, all scans in a folder and below it, or a log.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz, .npy, .las or .laz: points in metres, z up. A log is
     what `ingest` takes: a recording of ROS, or a folder with poses, such as a
-    sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
-    .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
-    some completions where there are several. Given a dataset again after a stop, it goes on where
+    sequence of KITTI's; its scans are turned upright by their poses. A page shows some completions
+    where there are several. Given a dataset again after a stop, it goes on where
     it was. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
     """
@@ -124,6 +118,7 @@ def complete(
         predict_scan,
         read_line,
         read_scan,
+        summary,
         tasks_of,
     )
     from scenegen.model.training.device import choose_device
@@ -133,6 +128,11 @@ def complete(
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, shown=not quiet)
+    if is_map(path):
+        raise DatasetError(
+            f"{path}: is a map; see it first: `scenegen generate --scene {path} --n 24`, then "
+            "complete that dataset"
+        )
     stored = (path / NAME).exists()
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
@@ -145,27 +145,25 @@ def complete(
     # which may refuse what is there at once
     tasks = tasks_of(path, sensor, every, columns, quiet, **log_reading) if several else None
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
-    if tasks or is_map(path):
+    if tasks:
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
-        if tasks:
-            options = {"sensor": sensor, "columns": columns, **log_reading}
-            about = {name: str(value) for name, value in options.items() if value is not None}
-            about |= {"source": str(real_path(path)), "weights": completer.digest}
-            claim(out, COMPLETIONS, about)
-            complete_all(completer, tasks, out, MOST_SHOWN, quiet)
-        else:
-            _complete_map(completer, path, count, out, quiet)
+        options = {"sensor": sensor, "columns": columns, **log_reading}
+        about = {name: str(value) for name, value in options.items() if value is not None}
+        about |= {"source": str(real_path(path)), "weights": completer.digest}
+        claim(out, COMPLETIONS, about)
+        complete_all(completer, tasks, out, MOST_SHOWN, quiet)
         return
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
     existed = out.is_file()
     if stored:
         _complete_split(completer, path, split, out, execute, quiet)
     else:
-        completed = predict_scan(completer, read_scan(path, sensor, columns), out)
+        reports = [predict_scan(completer, read_scan(path, sensor, columns), out)]
         if not quiet:
-            note(read_line([completed]))
-            say(f"{path}: {completed}; completed by {completer.name}")
+            note(read_line(reports))
+            lines = "; ".join(summary(completer, reports))
+            say(f"{path}: {lines}; completed by {completer.name}")
     if not quiet:
         say(f"{'replaced' if existed else 'written'}: {out}")
 
@@ -199,24 +197,3 @@ def _complete_split(
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
             f"on, so expect worse completions"
         )
-
-
-def _complete_map(completer: "Completer", place: Path, count: int, out: Path, quiet: bool) -> None:
-    """Fly a sensor through a map, into the dataset `out`/seen; complete what it saw, and write a
-    page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
-    from scenegen.dataset.build import build
-    from scenegen.dataset.generation import plan_generation
-    from scenegen.dataset.manifest import NAME, completed, read
-    from scenegen.dataset.read import Dataset
-    from scenegen.model.commands.view import write_page
-    from scenegen.model.commands.weights import chosen
-
-    there, predictions = out / "seen", out / "predictions"
-    plan = plan_generation(n=count, scene=place, out=there)
-    if (there / NAME).exists() and completed(read(there)) != completed(plan.parameters):
-        raise DatasetError(f"{out}: holds another map, or another --n of it; give another -o")
-    build(plan)
-    seen = Dataset(there)
-    _complete_split(completer, there, "train", predictions, None, quiet)
-    guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
-    write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)

@@ -68,9 +68,8 @@ picture_options = together(
     ),
     click.option(
         "--film",
-        type=OutputFile(".gif", ".html"),
-        help="A film of the first flight, and what the robot takes for occupied: .gif from above, "
-        "or .html, a page that plays it in three dimensions.",
+        type=OutputFile(".html"),
+        help="A page (.html) that plays the first flight, and what the robot takes for occupied.",
     ),
     click.option(
         "--log",
@@ -361,13 +360,11 @@ def _show(
             figure.axes[0].plot(*VIEW.project(flight.path).T, color=colour, zorder=6)
         write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
-        from scenegen.model.robots.film import film as flight_film
         from scenegen.model.robots.film import flight_page
 
         robot = None if filmed is None else robot_maker(*filmed)(course)
-        draw = flight_film if film.suffix == ".gif" else partial(flight_page, name)
         try:
-            write_result(film, draw(course, 0, robot, ways[0]))
+            write_result(film, flight_page(name, course, 0, robot, ways[0]))
         finally:
             getattr(robot, "close", lambda: None)()
     if log is not None:

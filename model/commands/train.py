@@ -111,8 +111,7 @@ class Weighted(click.ParamType):
     batch="Maps a step, on all devices together.",
     optimizer="The optimizer.",
     lr="Learning rate after the warm-up.",
-    schedule="How the rate falls: once validation stalls or the budget nears its end, along a "
-    "cosine, or never.",
+    schedule="How the rate falls: once validation stalls or the budget nears its end, or never.",
     patience="Validations without a lower loss after which training has stalled.",
     choose="Which network is kept: lowest validation loss, lowest loss of occupancy, or last.",
     seed="Decides the first weights and the order of samples.",
@@ -220,13 +219,13 @@ def train(
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, streams, stream_seed, val_maps, config, talk)
+        training, checking = _samples(datasets, streams, stream_seed, val_maps, talk)
         chosen = choose_device(device)
         if workers is None:
             workers = (
                 0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
             )
-        shown = _Shown(config, progress, talk)
+        shown = _Shown(config.network.variant, progress, talk)
         rows = run(
             training,
             checking,
@@ -263,7 +262,6 @@ def _samples(
     streams: tuple[tuple[str, float], ...],
     seed: int,
     count: int | None,
-    config: TrainConfig,
     talk: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates: `datasets`, or `streams` of a `seed`, and `count`
@@ -280,10 +278,6 @@ def _samples(
         folders = find_datasets(names, shown=talk)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
-    if config.maps is None:
-        raise click.UsageError(
-            "--stream has no end; say how many maps to see with --maps, such as --maps 200000"
-        )
     if datasets and count is not None:
         raise click.UsageError(
             "--val-maps validates on the stream, and datasets are named; leave one of the two out"
@@ -326,13 +320,13 @@ class _Shown:
     """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
     an epoch."""
 
-    def __init__(self, config: TrainConfig, progress: Progress, talk: bool):
-        self._config, self._progress, self._talk = config, progress, talk
+    def __init__(self, variant: str, progress: Progress, talk: bool):
+        self._variant, self._progress, self._talk = variant, progress, talk
         self._recent, self._iou, self.begun = 0.0, "", False
 
     def on_start(self, epoch: int, total: int, done: int) -> None:
         self.begun = True
-        self._progress.restart(f"{self._config.network.variant}, epoch {epoch + 1}", total, done)
+        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, done)
 
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
@@ -342,7 +336,7 @@ class _Shown:
     def on_epoch(self, row: "Scalars") -> None:
         self._iou = f", validation {_ious(row)}"
         if self._talk:
-            seconds, loss = row["seconds"], row["train_loss"]
+            loss, seconds = row["train_loss"], row["seconds"]
             say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
 
 

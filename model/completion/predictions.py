@@ -36,7 +36,7 @@ Part = tuple[str, Sequence[int]]
 """The name of a file, and the samples whose predictions it holds, by their numbers."""
 
 
-class Completed(NamedTuple):
+class SplitReport(NamedTuple):
     """What became of a split."""
 
     away: list[float]
@@ -54,7 +54,7 @@ def predict_split(
     *,
     execute: Executor | None = None,
     progress: Showing = silent,
-) -> Completed:
+) -> SplitReport:
     """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
     `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there,
     as they were written, are kept, so that a run goes on where another one ended.
@@ -92,7 +92,7 @@ def predict_split(
         tasks.append(part)
     work, total = partial(_write, asked, samples, about, out), sum(len(n) for _, n in tasks)
     results = counted(execute, progress, work, tasks, "complete", total)
-    return Completed([far for some in results for far in some if far is not None], damaged)
+    return SplitReport([far for some in results for far in some if far is not None], damaged)
 
 
 def _is_intact(out: Path, samples: Split, about: Mapping[str, str], part: Part) -> bool:

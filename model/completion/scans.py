@@ -25,7 +25,7 @@ from scenegen.dataset.hdf5 import read_guarded
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look, evenly
 from scenegen.display.page import page
-from scenegen.errors import DatasetError, DiskError, printable, raised_as
+from scenegen.errors import DatasetError, DiskError, plural, printable, raised_as
 from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
@@ -68,10 +68,9 @@ Task: TypeAlias = tuple[str, Callable[[], Scan]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Completed:
-    """What became of a scan. Its text says so to people."""
+class ScanReport:
+    """What became of a scan."""
 
-    completer: str
     points: int
     layout: str
     """What was taken of the file, see `Cloud`."""
@@ -81,31 +80,11 @@ class Completed:
     """Points within the map."""
     height_m: float | None
     """The sensor's above what it sees below it; None where too few returns tell it."""
-    untold: tuple[str, ...]
-    """What points do not tell of the network's inputs."""
     away: bool
-    """Whether the network is away from home, see `Prediction.away`."""
+    """Whether the map is unfamiliar to the network, see `Prediction.away`."""
     iou: float | None
     """Of the prediction at the thresholds that `predict_scan` takes, over the voxels that the truth
     knows; None without a truth."""
-
-    def __str__(self) -> str:
-        outside = self.points - self.without - self.inside
-        height = "unknown"
-        if self.height_m is not None:
-            height = f"some {self.height_m:.1f} m above what it sees below it"
-        parts = [
-            f"{self.inside} of {self.points} points used, {self.without} without a return, "
-            f"{outside} outside the map; the sensor's height is {height}",
-            *self.untold,
-        ]
-        if self.away:
-            parts.append(
-                f"{self.completer} denies an unusual share of them, as where it is away from home"
-            )
-        if self.iou is not None:
-            parts.append(f"IoU {self.iou:.3f} at the paper's threshold")
-        return "; ".join(parts)
 
 
 def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan:
@@ -156,7 +135,7 @@ def predict_scan(
     *,
     name: str = "",
     thresholds: Thresholds | None = None,
-) -> Completed:
+) -> ScanReport:
     """Complete one scan, which `out` then calls `name`, by default as it is called.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, the truth if there is one, and
@@ -182,14 +161,12 @@ def predict_scan(
         predicted = {name: getattr(prediction, name) for name in STORED}
         about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m}
         _write(out, about, maps | predicted | truth)
-    return Completed(
-        completer=completer.name,
+    return ScanReport(
         points=len(scan.points),
         layout=scan.layout,
         without=len(scan.points) - len(seen.points),
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - scan.position),
-        untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away or 0) >= UNUSUAL,
         iou=iou(occupied & truth["known"], truth["occupancy"] & truth["known"]) if truth else None,
     )
@@ -282,33 +259,40 @@ def _completion(path: Path) -> Look:
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
-def read_line(done: Sequence[Completed]) -> str:
+def read_line(reports: Sequence[ScanReport]) -> str:
     """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
     points are no returns."""
-    report = ReadReport()
-    for scan in done:
-        report.add(scan.points, scan.layout, scan.without)
-    return str(report) if any(report.layouts) else f"{report.dropped:,} points without a return"
+    read = ReadReport()
+    for scan in reports:
+        read.add(scan.points, scan.layout, scan.without)
+    return str(read) if any(read.layouts) else f"{read.dropped:,} points without a return"
 
 
-def summary(done: Sequence[Completed]) -> list[str]:
-    """Lines for people on many scans."""
-    heights = [one.height_m for one in done if one.height_m is not None]
-    ious = [one.iou for one in done if one.iou is not None]
-    away = sum(one.away for one in done)
-    lines = list(dict.fromkeys(what for one in done for what in one.untold))
+def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
+    """Lines for people on scans that were completed."""
+    points, without, inside = (
+        sum(getattr(scan, name) for scan in reports) for name in ("points", "without", "inside")
+    )
+    lines = [
+        f"{inside} of {points} points used, {without} without a return, "
+        f"{points - without - inside} outside the map"
+    ]
+    heights = [scan.height_m for scan in reports if scan.height_m is not None]
+    lines.append("too few returns lie below the sensor to tell its height")
     if heights:
+        low, high = (f"{end:.1f}" for end in (min(heights), max(heights)))
+        height = low if low == high else f"{low} to {high}"
+        lines[-1] = f"the sensor is some {height} m above what it sees below it"
+    lines += [UNTOLD[name] for name in completer.inputs if name in UNTOLD]
+    if away := sum(scan.away for scan in reports):
         lines.append(
-            f"the sensor is {min(heights):.1f} to {max(heights):.1f} m above what it sees below it"
+            f"{completer.name} denies an unusual share of the returns of {away} of "
+            f"{plural(len(reports), 'scans')}, as where it is away from home"
         )
-    elif done:
-        lines.append("too few returns lie below the sensor to tell its height")
-    if away:
-        lines.append(f"{away} of {len(done)} scans are away from home for {done[0].completer}")
-    if ious:
+    if ious := [scan.iou for scan in reports if scan.iou is not None]:
         lines.append(
-            f"IoU {np.mean(ious):.3f} at the paper's threshold, in the mean of {len(ious)} "
-            "observations, over what their log knows"
+            f"IoU {np.mean(ious):.3f} at the paper's threshold, over what the log knows "
+            f"({plural(len(ious), 'observations')})"
         )
     return lines
 
@@ -357,7 +341,7 @@ def complete_all(
     DatasetError at the end where some could not be completed.
     """
     count, scans = tasks
-    done, there, broken = [], [], 0
+    reports, completions, failed = list[ScanReport](), list[Path](), 0
     with Progress("complete", shown=not quiet) as progress:
         progress.start(count)
         for name, read in scans:
@@ -368,27 +352,28 @@ def complete_all(
                 target.unlink()
             if not intact:
                 try:
-                    done.append(predict_scan(completer, read(), target, name=name))
+                    reports.append(predict_scan(completer, read(), target, name=name))
                 except DiskError:
                     raise
                 except DatasetError as error:
-                    broken += 1
+                    failed += 1
                     note(printable(error))
             if target.exists():
-                there.append(target)
+                completions.append(target)
             progress.count(1)
-    if there:
-        looks = [read_completion(there[n]) for n in evenly(len(there), most)]
+    if completions:
+        looks = [read_completion(completions[n]) for n in evenly(len(completions), most)]
         known = any("occupancy" in look.masks for look in looks)
         notes = ["Where the log knows nothing, predictions are not shown."] * known
         write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
-    if broken:
+    if failed:
         raise DatasetError(
-            f"{out}: {broken} of {count} scans could not be completed; the others are there"
+            f"{out}: {failed} of {count} scans could not be completed; the others are there"
         )
-    if not quiet and done:
-        note(read_line(done))
-    if not quiet:
-        for line in summary(done):
+    if quiet:
+        return
+    if reports:
+        note(read_line(reports))
+        for line in summary(completer, reports):
             note(f"note: {line}")
-        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")
+    say(f"{out}: {len(completions)} completions; look at {out / 'index.html'}")

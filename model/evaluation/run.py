@@ -124,16 +124,15 @@ class _SampleResult(NamedTuple):
     methods: list[_MethodOnSample]
 
 
-def check_middle(
-    dataset: Dataset, instead: str = "bench datasets whose maps lie around the sensor"
-) -> None:
-    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
-    would not begin at the sensor."""
+def check_middle(dataset: Dataset) -> None:
+    """Raise DatasetError where plans, which begin in a map's middle, would not begin at the
+    sensor."""
     for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
                 f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
-                f"sensor, and plans begin in a map's middle; {instead}"
+                "sensor, and plans begin in a map's middle; bench datasets whose maps lie around "
+                "the sensor"
             )
 
 

@@ -97,6 +97,7 @@ def train(
     group = Group(where, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
+        course = Course(maps, config)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
         settings = describe(maps, config, dtype)
@@ -108,7 +109,6 @@ def train(
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, group)
-        course = Course(maps, config)
         while steps := course.steps(progress):
             begin, done = time.monotonic() - progress.seconds, progress.step
             watcher.on_start(progress.epoch, len(steps) * course.batch, done * course.batch)

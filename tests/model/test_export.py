@@ -239,8 +239,9 @@ def point_outside(model):
         (fix_the_batch, "cannot run it"),
         (widen, "cannot run it"),
         (rename_outputs, "gives nothing, where"),
-        (loop, "has loops or parts elsewhere"),
-        (point_outside, "has loops or parts elsewhere"),
+        (loop, "has loops, sparse tensors or parts elsewhere"),
+        (point_outside, "has loops, sparse tensors or parts elsewhere"),
+        (add_sparse, "has loops, sparse tensors or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
         (set_header(network={"width": 4, "inputs": ["distance"]}), "its header says distance"),
         (rename_input, "takes observed, f, where its header says observed, free"),
@@ -271,7 +272,6 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
         set_weight(np.nan, "network.head.tudf.split.weight", np.float16),
         add_node(value_float=np.nan),
         add_node(value_floats=[0.0, np.nan]),
-        add_sparse,
     ],
 )
 def test_no_number_of_an_export_is_nan(exported, tmp_path, change):

@@ -16,7 +16,7 @@ from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.completion.scans import complete_all, predict_scan, read_scan
+from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, summary
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
 from tests.model.conftest import completer_of
@@ -176,7 +176,9 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
         used = completed(net, tmp_path, "scan.npy", "out.h5")
     assert (used.inside, used.points, used.without) == (2, 7, 3)
     assert used.height_m is None
-    assert "2 outside the map; the sensor's height is unknown" in str(used)
+    lines = summary(net, [used])
+    assert lines[0] == "2 of 7 points used, 3 without a return, 2 outside the map"
+    assert "too few returns" in lines[1]
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match=r"none of 4 points is in the map \(4 are no returns\)"):
         completed(net, tmp_path, "scan.npy", "none.h5")

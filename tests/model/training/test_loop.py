@@ -197,7 +197,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(folders, tmp_pat
     monkeypatch.setattr(
         scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)}
     )
-    config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="cosine")
+    config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="constant")
     rows = train(folders[:1], config, tmp_path / "run")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
     assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
