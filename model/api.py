@@ -73,8 +73,10 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
-    own = ",".join(name for name in (config.network.variant, *config.network.inputs) if ":" in name)
-    return Completer.from_pretrained(f"{own}@{folder}" if own else folder)
+    code = ",".join(
+        name for name in (config.network.variant, *config.network.inputs) if ":" in name
+    )
+    return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
 
 
 def bench(
@@ -104,7 +106,10 @@ def bench(
     """
     config = BenchConfig(**settings)
     rows = rows_of(
-        [one if isinstance(one, str | Completer) else Completed(one) for one in _listed(methods)]
+        [
+            method if isinstance(method, str | Completer) else Completed(method)
+            for method in _listed(methods)
+        ]
         or USUAL
     )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
@@ -115,17 +120,19 @@ def bench(
     return build_report(results, seed=config.seed, about={"split": config.split})
 
 
-def _samples(given: Any, split: str) -> list[Samples]:
+def _samples(datasets: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
-    if isinstance(given, Mapping):
-        weights = {locate(name): weight for name, weight in given.items()}
+    if isinstance(datasets, Mapping):
+        weights = {locate(name): weight for name, weight in datasets.items()}
         return opened(weights if split == "train" else [*weights], split)
-    found, named = _listed(given), (str, Path, Dataset)
+    listed, named = _listed(datasets), (str, Path, Dataset)
     # all at once, so that two datasets that share samples are found
-    there = iter(opened([locate(one) for one in found if isinstance(one, named)], split))
-    return [next(there) if isinstance(one, named) else one for one in found]
+    opened_samples = iter(
+        opened([locate(item) for item in listed if isinstance(item, named)], split)
+    )
+    return [next(opened_samples) if isinstance(item, named) else item for item in listed]
 
 
-def _listed(given: Any) -> Sequence[Any]:
+def _listed(value: Any) -> Sequence[Any]:
     """What is `given` in a list, or alone."""
-    return given if isinstance(given, list | tuple) else [given]
+    return value if isinstance(value, list | tuple) else [value]

@@ -125,8 +125,8 @@ def corrected(probability: Field, class_weight: float) -> Field:
 def denial(probability: Field, observed: Mask, class_weight: float) -> Any:
     """The share of a map's `observed` voxels that are said to be free sooner than occupied, or of
     each map's, (...), from (..., X, Y, Z); 0 where nothing was observed."""
-    missed, every = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
-    return missed.sum(axis=every) / np.maximum(observed.sum(axis=every), 1)
+    missed, axes = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
+    return missed.sum(axis=axes) / np.maximum(observed.sum(axis=axes), 1)
 
 
 def corrected_logit(probability: Field, class_weight: float) -> Field:

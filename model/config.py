@@ -115,16 +115,16 @@ def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
     "my_net:Net,my_input:rise@runs/mine" is the network in runs/mine, which may be made of these
     two. A file alone never has code imported, whatever its header says.
     """
-    found = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
-    return (frozenset(found[1].split(",")), found[2]) if found else (frozenset(), str(weights))
+    match = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
+    return (frozenset(match[1].split(",")), match[2]) if match else (frozenset(), str(weights))
 
 
 def split_name(weights: str) -> tuple[str, str]:
     """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
     exists is WEIGHTS as it stands."""
-    name, equals, rest = weights.partition("=")
+    name, equals, place = weights.partition("=")
     named = equals and re.fullmatch(r"[\w. -]+", name) and not Path(split_own(weights)[1]).exists()
-    return (name, rest) if named else ("", weights)
+    return (name, place) if named else ("", weights)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,16 +60,16 @@ def load_onnx(
     """
     content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
-        found = _examined(content, runtime)
-    check_own(path, own, *found.config.inputs)
-    run = _open(content, found, threads)
+        file = _examined(content, runtime)
+    check_own(path, own, *file.config.inputs)
+    run = _open(content, file, threads)
 
     def forward(batch: Batch) -> Output:
-        values = run({name: batch[name].float().numpy(force=True) for name in found.config.inputs})
-        said = dict(zip(found.outputs, map(torch.from_numpy, values), strict=True))
-        return Output(*map(said.get, NAMES.values()))
+        values = run({name: batch[name].float().numpy(force=True) for name in file.config.inputs})
+        by_name = dict(zip(file.outputs, map(torch.from_numpy, values), strict=True))
+        return Output(*map(by_name.get, NAMES.values()))
 
-    return forward, found
+    return forward, file
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ def _examined(content: bytes, runtime: str | None) -> Examined:
         graph = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"is not an ONNX file that can be read ({error})") from None
-    found = Examined(usable[0], *graph)
-    features = found.config.width * int(np.prod(found.grid.shape))
+    file = Examined(usable[0], *graph)
+    features = file.config.width * int(np.prod(file.grid.shape))
     memory += BYTES_A_FEATURE * features
     try:
-        guarded(_try, (content, found), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
+        guarded(_try, (content, file), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"{usable[0]} cannot run it: {error}; export it again") from None
-    return found
+    return file
 
 
 def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str, ...]]:
@@ -187,10 +187,10 @@ def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
 def _try(task: tuple[bytes, Examined]) -> None:
     """Complete two empty maps. Raises CheckpointError where what comes is no completion, and what
     the runtime does."""
-    content, found = task
-    shape = (2, *found.grid.shape)  # a file may take one alone
-    run = _open(content, found, threads=1)
-    values = run({name: np.zeros(shape, np.float32) for name in found.config.inputs})
+    content, file = task
+    shape = (2, *file.grid.shape)  # a file may take one alone
+    run = _open(content, file, threads=1)
+    values = run({name: np.zeros(shape, np.float32) for name in file.config.inputs})
     good = [
         value.shape == shape and value.dtype == np.float32 and np.isfinite(value).all()
         for value in values

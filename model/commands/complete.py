@@ -139,8 +139,8 @@ def complete(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     logged = not stored and (is_log(path) or log_reading["poses"] is not None)
-    if not logged and (given := [name for name, value in log_reading.items() if value]):
-        raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
+    if not logged and (unused := [name for name, value in log_reading.items() if value]):
+        raise DatasetError(f"{path}: is no log; leave out --{unused[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
     # which may refuse what is there at once
     tasks = tasks_of(path, sensor, every, columns, quiet, **log_reading) if several else None
@@ -190,7 +190,7 @@ def _complete_split(
         note(f"{out / name}: was not as it was written; it was completed again")
     for warning in () if quiet else completer.unlike(Dataset(folder).settings):
         note(f"note: {warning}")
-    far = sum(one >= UNUSUAL for one in away)
+    far = sum(share >= UNUSUAL for share in away)
     if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
         note(
             f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "

@@ -79,7 +79,7 @@ def calibrate(
     if talk:
         announce_compilation()
     folders = find_datasets(datasets, shown=talk)
-    found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
-    if tell(asdict(found)):
-        say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
+    calibration = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
+    if tell(asdict(calibration)):
+        say(f"{calibration.worlds} worlds: temperature {calibration.temperature:.3f}")
         say(f"written: {out}")

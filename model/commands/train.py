@@ -241,8 +241,8 @@ def train(
         )
     best = RunFolder(out).best() or rows[-1]
     seconds = time.monotonic() - begin
-    told = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
-    if not (first and tell(told)):
+    summary = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
+    if not (first and tell(summary)):
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
@@ -298,9 +298,9 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
     from scenegen.model.checkpoint import check_own
     from scenegen.model.completion.completer import open_network
 
-    if given := [name for name in taken(NetworkConfig, options) if was_given(name)]:
+    if conflicts := [name for name in taken(NetworkConfig, options) if was_given(name)]:
         raise click.UsageError(
-            f"--weights brings its network; leave out what else says of one: {', '.join(given)}"
+            f"--weights brings its network; leave out what else says of one: {', '.join(conflicts)}"
         )
     network, _, about = open_network(weights)
     try:
@@ -347,9 +347,9 @@ def _validated(row: "Scalars") -> str:
 
 def _ious(row: "Scalars") -> str:
     """IoU at the paper's threshold, and at the best one."""
-    found = f"IoU {row['val_iou']:.3f} at the paper's threshold"
+    text = f"IoU {row['val_iou']:.3f} at the paper's threshold"
     for name, unit in UNITS.items():
         if (best := row.get(f"val_best_{name}")) is not None:
             paper = getattr(Thresholds(), name)
-            found += f" {paper:g}{unit}, {row['val_best_iou']:.3f} at the best, {best:g}{unit}"
-    return found
+            text += f" {paper:g}{unit}, {row['val_best_iou']:.3f} at the best, {best:g}{unit}"
+    return text

@@ -102,9 +102,9 @@ def view(
     from scenegen.display.live import Live
     from scenegen.display.look import incomplete
 
-    there, index = len(opened[0].split(split)), indices[0] if indices else 0
-    if index >= max(there, 1):
-        raise click.UsageError(f"--index {index}: its {split} split has {there} samples")
+    size, index = len(opened[0].split(split)), indices[0] if indices else 0
+    if index >= max(size, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {size} samples")
     for one in opened:
         for line in incomplete(one, split):
             note(f"{one.folder}: {line}")
@@ -142,11 +142,11 @@ def write_page(
     from scenegen.files import write_result
 
     check_grid(found.grid)
-    shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
+    samples, notes = looks(found, split, indices or spread(found, split, count), guesses)
     title = f"{title_of(found)}, {split}"
-    content = page(shown, title=title, notes=notes)
+    content = page(samples, title=title, notes=notes)
     write_result(out, content.encode())
     for line in notes:
         note(line)
     if not quiet:
-        say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
+        say(f"{out}: {len(samples)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")

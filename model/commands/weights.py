@@ -35,8 +35,8 @@ class Weights(click.ParamType):
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Bundled networks that begin with what is typed, or else files."""
-        found = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
-        return found or [CompletionItem(incomplete, type="file")]
+        items = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
+        return items or [CompletionItem(incomplete, type="file")]
 
 
 class NamedWeights(Weights):

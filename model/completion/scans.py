@@ -108,8 +108,8 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
     if path.suffix == ".npz":
         with suppress(ValueError):  # an archive of points alone
             content = read_bounded(path, MOST_SCAN_BYTES)
-            found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
-            truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
+            values = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
+            truth = dict(zip((*TRUTH, "voxel_m"), values, strict=True))
     return Scan(str(path), cloud.points, position, cloud.layout, truth)
 
 
@@ -235,11 +235,11 @@ def _completion(path: Path) -> Look:
             maps = {name: np.asarray(file[name]) for name in names}
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
-        said = check_prediction(Prediction(**parts), shape, str(path))
+        prediction = check_prediction(Prediction(**parts), shape, str(path))
         guess = Guess(
             name=method,
-            occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),
-            tudf=said.distance(None, grid),
+            occupied=prediction.occupied() & maps.get("known", np.ones(shape)).astype(bool),
+            tudf=prediction.distance(None, grid),
         )
         known = maps["known"].astype(bool) if "known" in maps else None
         return Look(
@@ -312,8 +312,8 @@ def tasks_of(
         if not quiet:
             note(log.line())
         return len(range(0, len(log.poses), every)), scans_of_log(log, every)
-    kept = found / "observations"  # what `ingest` keeps beside its maps
-    scans = scans_in(kept if kept.is_dir() else found)[::every]
+    observations = found / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(observations if observations.is_dir() else found)[::every]
     if not scans:
         raise DatasetError(
             f"{found}: holds neither a dataset (no dataset.json) nor scans; expected "

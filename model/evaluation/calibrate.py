@@ -146,15 +146,15 @@ def calibrate(
     parts = counted(execute, progress, work, tasks, "calibrate", total)
     # in the order of the maps, wherever and whenever each was counted
     maps = sorted(
-        (one for part in parts for one in part), key=lambda one: (one.dataset, one.number)
+        (item for part in parts for item in part), key=lambda item: (item.dataset, item.number)
     )
-    shares = np.array([one.denied for one in maps])
+    shares = np.array([item.denied for item in maps])
     levels = np.quantile(shares, LEVELS).tolist()
     powers = familiar(away_of(shares, levels))
     fitted = Calibration(
-        worlds=len({(one.dataset, one.world) for one in maps}),
+        worlds=len({(item.dataset, item.world) for item in maps}),
         class_weight=weight,
-        temperature=fit_temperature(np.array([one.logits for one in maps]), powers),
+        temperature=fit_temperature(np.array([item.logits for item in maps]), powers),
         datasets=digests,
         denied=tuple(levels),
     )

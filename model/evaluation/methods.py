@@ -50,14 +50,14 @@ class Completed:
     """A completer, shown nothing but what was seen."""
 
     def __init__(self, completer: MapCompleter):
-        name, complete = (getattr(completer, one, None) for one in ("name", "complete"))
-        what = "a `name`, a string" if not isinstance(name, str) else ""
+        name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
+        lacking = "a `name`, a string" if not isinstance(name, str) else ""
         try:
             inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
         except TypeError:
-            what = "a method `complete` that takes (observed, free, *, grid)"
-        if what:
-            raise PredictionError(f"{type(completer).__name__}: lacks {what}")
+            lacking = "a method `complete` that takes (observed, free, *, grid)"
+        if lacking:
+            raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")
         self._completer, self.name = completer, printable(name)
         self.learned = bool(getattr(completer, "learned", True))
         """Whatever the completer says of itself; one that says nothing may be."""
@@ -67,9 +67,9 @@ class Completed:
         prediction."""
         # copies: a completer may write to what it is given, which the other rows are shown, too
         maps = sample.observed.copy(), sample.free.copy()
-        found = self._completer.complete(*maps, grid=split.dataset.grid)
-        check_prediction(found, split.dataset.grid.shape, self.name)
-        return replace(found, **{name: plain(getattr(found, name)) for name in PARTS})
+        prediction = self._completer.complete(*maps, grid=split.dataset.grid)
+        check_prediction(prediction, split.dataset.grid.shape, self.name)
+        return replace(prediction, **{name: plain(getattr(prediction, name)) for name in PARTS})
 
 
 class Truth:
@@ -93,8 +93,8 @@ class Predicted:
     learned = True
 
     def __init__(self, path: Path):
-        self.path, found, is_folder = path, real_path(path), path.is_dir()
-        self.name = printable(found.name if is_folder else found.stem)
+        self.path, real, is_folder = path, real_path(path), path.is_dir()
+        self.name = printable(real.name if is_folder else real.stem)
         self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
 
     def check(self, dataset: Dataset, split: str) -> None:
@@ -109,10 +109,10 @@ class Predicted:
         about = {"dataset": str(dataset.manifest.digest), "split": split}
         check = partial(check_file, about=about, most=len(names), shape=shape)
         seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
-        found = Counter[tuple[int, int]]()
+        counts = Counter[tuple[int, int]]()
         for path in self._files:
-            found.update(read_guarded(check, path, 1 << 62, seconds))
-        if odd := sorted(name for name in names if found[name] != 1):
+            counts.update(read_guarded(check, path, 1 << 62, seconds))
+        if odd := sorted(name for name in names if counts[name] != 1):
             raise DatasetError(
                 f"{self.path}: {len(odd)} of {len(names)} samples are missing, or there twice, the "
                 f"first is world {odd[0][0]}, viewpoint {odd[0][1]}; predict each sample of split "
@@ -122,12 +122,12 @@ class Predicted:
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
         """File and row of every (split, world, viewpoint)."""
-        found: dict[tuple[str, int, int], tuple[Path, int]] = {}
+        rows: dict[tuple[str, int, int], tuple[Path, int]] = {}
         for path in self._files:
             with h5py.File(path, "r") as file:
                 split = str(file.attrs["split"])
-                found |= {(split, *pair): (path, row) for row, pair in enumerate(pairs_in(file))}
-        return found
+                rows |= {(split, *pair): (path, row) for row, pair in enumerate(pairs_in(file))}
+        return rows
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises KeyError for a sample that is not predicted."""
@@ -145,13 +145,13 @@ def find_method(name: Any) -> Method:
     if not isinstance(name, str):
         return name
     with raised_as(ScenegenError, "--method: "):
-        found = METHODS.find(name)
+        kind = METHODS.find(name)
     odd = f"--method {name}: cannot be made by calling it without arguments: "
     with raised_as(ScenegenError, odd, of=TypeError):
-        made = found()
-    if name in METHODS.builtin and hasattr(made, "completion"):  # a row itself, not a completer
-        return made
-    return Completed(made)
+        method = kind()
+    if name in METHODS.builtin and hasattr(method, "completion"):  # a row itself, not a completer
+        return method
+    return Completed(method)
 
 
 def rows_of(

@@ -67,19 +67,21 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         }
         parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
         for part, figures_of in parts_of.items():
-            report[part][result.kind] = {name: figures_of(found, result) for name, found in methods}
+            report[part][result.kind] = {
+                name: figures_of(method, result) for name, method in methods
+            }
         report["tests"][result.kind] = paired_tests(result, rng)
         if result.config.reliability:
             report.setdefault("reliability", {})[result.kind] = {
-                name: reliability(np.array(found.probabilities), result.worlds) or None
-                for name, found in methods
+                name: reliability(np.array(method.probabilities), result.worlds) or None
+                for name, method in methods
             }
     return finite(report)
 
 
 def notes(about: Json) -> list[str]:
     """What a reader must know of the figures of one of the report's `datasets`."""
-    return [told for told in (about["note"], caution(about["worlds"])) if told]
+    return [line for line in (about["note"], caution(about["worlds"])) if line]
 
 
 def trial_counts(about: Json) -> str:
@@ -94,9 +96,9 @@ def trial_counts(about: Json) -> str:
 def finite(value: Any) -> Any:
     """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
     if isinstance(value, Mapping):
-        return {name: finite(one) for name, one in value.items()}
+        return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -153,8 +155,8 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
             ],
         )
     yield _failures(report["planning"][kind])
-    found = report.get("reliability", {}).get(kind, {})
-    yield from (Table(*table) for table in reliability_tables(found))
+    reliabilities = report.get("reliability", {}).get(kind, {})
+    yield from (Table(*table) for table in reliability_tables(reliabilities))
     by_class = [
         (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
         for method, row in report["reconstruction"][kind].items()
@@ -218,7 +220,7 @@ def to_markdown(report: Json) -> str:
     for kind in report["datasets"]:
         parts.append(f"## {kind}")
         parts += [
-            shown if isinstance(shown, str) else shown.markdown() for shown in blocks(report, kind)
+            block if isinstance(block, str) else block.markdown() for block in blocks(report, kind)
         ]
     return "\n\n".join(parts) + "\n"
 
@@ -235,13 +237,13 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -
     for kind in report["datasets"]:
         body.append(f"<h2>{as_text(kind)}</h2>")
         body += [
-            f"<p>{as_text(shown)}</p>" if isinstance(shown, str) else shown.html()
-            for shown in blocks(report, kind)
+            f"<p>{as_text(block)}</p>" if isinstance(block, str) else block.html()
+            for block in blocks(report, kind)
         ]
         images = [
-            f"<figure><figcaption>{as_text(told)}</figcaption><img alt='{as_text(told)}' "
+            f"<figure><figcaption>{as_text(caption)}</figcaption><img alt='{as_text(caption)}' "
             f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-            for told, image in pictures.get(kind, ())
+            for caption, image in pictures.get(kind, ())
         ]
         body.append(f"<div class='charts'>{''.join(images)}</div>")
     return page("Bench", "".join(body))

@@ -149,10 +149,10 @@ def paired_p(
 
 def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
-    given = np.asarray(p_values, float)
-    order = np.argsort(given)
-    stepped = np.maximum.accumulate(given[order] * (len(given) - np.arange(len(given))))
-    corrected = np.empty_like(given)
+    values = np.asarray(p_values, float)
+    order = np.argsort(values)
+    stepped = np.maximum.accumulate(values[order] * (len(values) - np.arange(len(values))))
+    corrected = np.empty_like(values)
     corrected[order] = np.minimum(stepped, 1.0)
     return corrected
 

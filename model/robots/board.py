@@ -65,7 +65,7 @@ class Row(NamedTuple):
     @property
     def scores(self) -> list[float]:
         """Of each flight."""
-        return [one.score for one in self.flights]
+        return [flight.score for flight in self.flights]
 
 
 def leaderboard(folder: Path) -> str:
@@ -97,26 +97,26 @@ def leaderboard(folder: Path) -> str:
 
 def _row(entry: Recording) -> Row:
     """An entry's flights, with the scores that their outcomes, times and lengths give."""
-    courses, found = [], []
-    for course, flights in sorted(entry.courses, key=lambda one: str(named(one[0]))):
-        for number, one in enumerate(flights):
-            best_s = one.shortest_m / course.vehicle.speed_mps
-            success = one.outcome == "success"
-            given = marks(success, one.time_s, one.flown_m, one.shortest_m, best_s)
-            found.append(replace(one, score=given["score"], spl=given["spl"]))
+    courses, scored = [], []
+    for course, flights in sorted(entry.courses, key=lambda flight: str(named(flight[0]))):
+        for number, flight in enumerate(flights):
+            best_s = flight.shortest_m / course.vehicle.speed_mps
+            success = flight.outcome == "success"
+            figures = marks(success, flight.time_s, flight.flown_m, flight.shortest_m, best_s)
+            scored.append(replace(flight, score=figures["score"], spl=figures["spl"]))
             courses.append((course, number))
-    return Row(entry.robot, courses, found)
+    return Row(entry.robot, courses, scored)
 
 
 def _cells(row: Row, best: Row) -> list[str]:
     """An entry's figures, and its scores less those of the best that flew the same courses."""
     cells = [str(len(row.flights))]
     for column in BOARD.values():
-        found = summarise([column.of(one) for one in row.flights], row.worlds, column.scale)
+        summary = summarise([column.of(flight) for flight in row.flights], row.worlds, column.scale)
         for name in ("low", "high"):
-            if found[name] is not None:
-                found[name] = min(max(found[name], 0.0), column.most)
-        cells.append(brief(found))
+            if summary[name] is not None:
+                summary[name] = min(max(summary[name], 0.0), column.most)
+        cells.append(brief(summary))
     pairs = zip(row.scores, best.scores, strict=True)
-    less = summarise([one - other for one, other in pairs], row.worlds)
+    less = summarise([flight - best_score for flight, best_score in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]

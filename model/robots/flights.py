@@ -80,11 +80,11 @@ def fly_course(
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
     real = real_course(course, hidden)
-    made = robot_maker(robot, weights)(real)
+    pilot = robot_maker(robot, weights)(real)
     try:
-        flown = [fly_mission(real.simulation(n), made) for n in range(real.flights)]
+        flown = [fly_mission(real.simulation(n), pilot) for n in range(real.flights)]
     finally:
-        getattr(made, "close", lambda: None)()
+        getattr(pilot, "close", lambda: None)()
     return replace(course, document=real.sha256), flown
 
 
@@ -100,9 +100,9 @@ def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
     total = sum(course.flights for course in courses)
     grades = dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
     return [
-        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
+        flight.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
-        for one, difficulty in zip(flown, grades[course], strict=True)
+        for flight, difficulty in zip(flown, grades[course], strict=True)
     ]
 
 
@@ -116,27 +116,28 @@ def check_begins(robot: str, course: Course) -> None:
     if robot in NAMES:
         return
 
-    made = own_robot(robot)
+    pilot = own_robot(robot)
     try:
-        made.reset(course.simulation(0).about())
+        pilot.reset(course.simulation(0).about())
     except RobotError as error:
         if error.outcome == "crashed":
             raise ScenegenError(f"--robot {robot}: never begins: {error}") from None
     finally:
-        made.close()
+        pilot.close()
 
 
 def summary(name: str, flown: Sequence[Flown]) -> Json:
     """What is told of flights, together."""
-    ends = Counter(one.outcome for one in flown)
+    ends = Counter(flight.outcome for flight in flown)
     row = {"robot": name, "flights": len(flown)}
     row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
     row |= {
-        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
+        part: round(float(np.mean([getattr(flight, part) for flight in flown])), 4)
+        for part in RATIOS
     }
-    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
-    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
-    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
+    row["min_clearance_m"] = round(min(flight.min_clearance_m for flight in flown), 4)
+    row["most_step_s"] = round(max(flight.most_step_s for flight in flown), 4)
+    return row | {part: sum(getattr(flight, part) for flight in flown) for part in COUNTS}
 
 
 ANEW = "flown anew, the same"
@@ -287,7 +288,7 @@ def fly_anew(recording: Recording, work: Work, crew: Crew) -> tuple[int, list[Fl
     courses = [course for course, _ in recording.courses[::QUICK]]
     for course, flown in crew(work, courses, "fly anew", count):
         pairs = zip(flown, before[named(course)], strict=True)
-        unlike += [again for again, former in pairs if again.digest != former.digest]
+        unlike += [again for again, recorded in pairs if again.digest != recorded.digest]
     return count, unlike
 
 

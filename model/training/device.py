@@ -147,7 +147,7 @@ class Group:
 
     def gather(self, mine: Any) -> list[Any]:
         """What every process gives, in order."""
-        found = [mine] * self.size
+        gathered = [mine] * self.size
         if self.size > 1:
-            dist.all_gather_object(found, mine)
-        return found
+            dist.all_gather_object(gathered, mine)
+        return gathered

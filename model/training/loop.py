@@ -145,10 +145,10 @@ def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progre
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
         return
-    found = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
+    figures = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
     names = "; ".join(maps.name(index) for index, _ in batch) or "that of validation"
     raise TrainingError(
-        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {found}; "
+        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {figures}; "
         f"lower --lr, or look at the batch: {names}"
     )
 
@@ -229,8 +229,8 @@ class Muon(torch.optim.AdamW):
                 state = self.state[filters]
                 if not state:  # "step" is what AdamW looks for when it is copied
                     state.update(step=torch.zeros(()), momentum=torch.zeros_like(filters))
-                kept = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
-                rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
+                momentum = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
+                rows = filters.grad.lerp(momentum, self.MOMENTUM).flatten(1)
                 size = 0.6 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
                 filters.sub_(self._orthogonal(rows).view(filters.shape), alpha=group["lr"] * size)
@@ -253,11 +253,13 @@ def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
     """The optimiser of the configuration; weight decay is for what multiplies features, and for
     vectors only where the configuration says so."""
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
-    for one in network.parameters():
-        groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)
-    given = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
+    for parameter in network.parameters():
+        groups[config.weight_decay if config.decay_all or parameter.ndim > 1 else 0.0].append(
+            parameter
+        )
+    options = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
     kind = torch.optim.AdamW if config.optimizer == "adamw" else Muon
-    return kind(given, lr=config.lr)
+    return kind(options, lr=config.lr)
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:
@@ -319,13 +321,13 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
     output = network.eval()(batch)
     parts = output if isinstance(output, tuple) else (output,)
-    given = [getattr(part, "shape", part) for part in parts]
+    shapes = [getattr(part, "shape", part) for part in parts]
     shape = (1, *maps.grid.shape)
-    wanted = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
-    if given != wanted or (wanted[1] and parts[1].min() < 0):
+    expected = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
+    if shapes != expected or (expected[1] and parts[1].min() < 0):
         raise TrainingError(
-            f"variant {variant}: gives {given!r:.200}, expected {wanted}, by its `tasks`, and no "
-            "negative distance"
+            f"variant {variant}: gives {shapes!r:.200}, expected {expected}, by its `tasks`, and "
+            "no negative distance"
         )
     for name, value in network.state_dict().items():
         if value.dtype not in DTYPES:
@@ -350,10 +352,10 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
 def begin_from(weights: str | Path, network: Any) -> str:
     """Give `network` the weights of another one, and return their file's SHA-256. Raises
     CheckpointError where that is another network."""
-    found = open_network(weights)[0]
-    if found.config != network.config:
-        there, asked = (asdict(one.config) for one in (found, network))
+    source = open_network(weights)[0]
+    if source.config != network.config:
+        there, asked = (asdict(one.config) for one in (source, network))
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
-    network.load_state_dict(found.state_dict())
+    network.load_state_dict(source.state_dict())
     return file_sha256(locate(weights))

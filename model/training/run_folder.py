@@ -146,9 +146,9 @@ class RunFolder:
         if not self._writes:
             return
         network, optimizer = self._learns
-        state = {f"network/{one}": tensor for one, tensor in network.state_dict().items()} | {
-            f"optimizer/{one}/{key}": value
-            for one, parameter in network.named_parameters()
+        state = {f"network/{name}": tensor for name, tensor in network.state_dict().items()} | {
+            f"optimizer/{name}/{key}": value
+            for name, parameter in network.named_parameters()
             for key, value in optimizer.state.get(parameter, {}).items()
         }
         save_tensors(self.path / LAST, state, asdict(progress))
@@ -170,9 +170,9 @@ class RunFolder:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
         rows, by = progress.rows, f"val_{choose}"
         if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
-            told = {**about, "figures": rows[-1]}
-            save_network(self.path / BEST, network, grid, told)
-            write_whole(self.path / CARD, card(self.path.name, told).encode())
+            header = {**about, "figures": rows[-1]}
+            save_network(self.path / BEST, network, grid, header)
+            write_whole(self.path / CARD, card(self.path.name, header).encode())
         self.write_rows(rows)
         self.save(progress)
 
