@@ -44,7 +44,7 @@ def train(
         weights: A network whose weights are the first ones; random by default.
         device: "cpu", "cuda", or "auto".
         workers: Processes that read samples.
-        watcher: Who is told how the run goes, and may end it.
+        watcher: Callbacks of the run.
         settings: Fields of `NetworkConfig` (`variant`, `inputs`, `width`, …), of `LossConfig`
             (`occupancy`, `eikonal`, …) and of `TrainConfig` (`epochs`, `maps`, `batch`, `lr`, …).
 

@@ -99,15 +99,16 @@ class StoredProbability:
 
 
 def away_of(denied: Any, levels: Sequence[float]) -> Floats:
-    """How far from home maps are: the share of the `levels` that what they deny is above."""
+    """How unfamiliar maps are: the share of the `levels` that their share of denied returns
+    exceeds."""
     return np.searchsorted(levels, denied) / len(levels)
 
 
 def familiar(away: Any) -> Floats:
-    """The power of the temperature that a map has, by how far from home it is: 1 at home.
+    """The power of the temperature for maps, by how unfamiliar they are: 1 for familiar ones.
 
-    Sureness that was learned at home holds there alone: elsewhere, the loss is all that tells what
-    a logit means.
+    The temperature is valid only for familiar maps. Elsewhere, only the loss says what a logit
+    means.
     """
     return np.clip((UNKNOWN - np.asarray(away)) / (UNKNOWN - HOME), 0, 1)
 

@@ -24,7 +24,7 @@ from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.figures import summaries
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.report import PAPER, TUNED
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,

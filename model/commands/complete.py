@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 COMPLETIONS = "completions.json"
 """The file of a folder of completions that says of which scans they are, and whose."""
-MOST_SHOWN = 24
+MAX_SHOWN = 24
 """Completions on the page of a folder or a log, evenly spread."""
 
 
@@ -152,7 +152,7 @@ def complete(
         about = {name: str(value) for name, value in options.items() if value is not None}
         about |= {"source": str(real_path(path)), "weights": completer.digest}
         claim(out, COMPLETIONS, about)
-        complete_all(completer, tasks, out, MOST_SHOWN, quiet)
+        complete_all(completer, tasks, out, MAX_SHOWN, quiet)
         return
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
     existed = out.is_file()

@@ -27,13 +27,13 @@ from scenegen.worlds import MESHES
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
 
-MOST_SHOWN = 64
+MAX_SHOWN = 64
 """The most samples on a sheet."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
 FILMS = (".webp", ".gif")
 COLUMNS_MM = {"one": "88", "two": "180"}
 """Widths of columns of a paper, as most journals have them."""
-LEAST_WIDE = 140 / 25.4
+MIN_WIDTH = 140 / 25.4
 """The narrowest picture for print of anything but samples, inches."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 
@@ -60,7 +60,7 @@ def _width(text: str) -> float:
     "--sheet",
     "--n",
     "count",
-    type=click.IntRange(1, MOST_SHOWN),
+    type=click.IntRange(1, MAX_SHOWN),
     help="So many samples on one sheet, evenly spread.",
 )
 @click.option(
@@ -131,7 +131,7 @@ def render(
     figure = None
     if isinstance(source, Path):
         figure = _draw_file(source, seed if flight else None, columns, quiet)
-    if figure and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
+    if figure and (options["paper"] or MIN_WIDTH) < MIN_WIDTH:
         raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
     if figure is None:
         figure, notes = _draw_samples(
@@ -238,7 +238,7 @@ def _draw_samples(
 def _same_world(found: "Dataset", split: str, index: int) -> list[int]:
     """The samples of a sample's world, in order, as many as are shown."""
     names = found.split(split).names
-    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MOST_SHOWN]
+    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MAX_SHOWN]
 
 
 def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from scenegen.model.training.card import Scalars
     from scenegen.model.training.data import Samples
 
-MOST_LOADERS = 8
+MAX_LOADERS = 8
 """Loader processes that are begun unasked, where there is a GPU to feed."""
 VAL_MAPS = 500
 """Maps of a stream's own validation split, where no dataset is named."""
@@ -223,7 +223,7 @@ def train(
         chosen = choose_device(device)
         if workers is None:
             workers = (
-                0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
+                0 if chosen.type == "cpu" else min(MAX_LOADERS, 1 << (cores().bit_length() - 1))
             )
         shown = _Shown(config.network.variant, progress, talk)
         rows = run(

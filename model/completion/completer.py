@@ -39,7 +39,7 @@ from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
-MOST_SAID = 300
+MAX_DIFFERENCE = 300
 """Characters that are said of how two sensors differ."""
 TRAINING = "in training", "here"
 """What the two sides of a difference are called: what a network learned from, and its input."""
@@ -330,7 +330,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             distance, what = 1, "maps made otherwise"
         else:
             return 0, ""
-        line = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        line = "; ".join(sensor + faults + maps)[:MAX_DIFFERENCE]
         line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
         return distance, line
 

@@ -43,7 +43,7 @@ TRUTH = ("occupancy", "known")
 BELOW_M = 5.0
 """What is below the sensor is looked for among the lower returns that are within so many metres of
 it, seen from above."""
-LEAST_BELOW, LOWEST = 20, 0.1
+MIN_BELOW, LOWEST = 20, 0.1
 """How many of these it takes to tell the sensor's height, and which quantile of them is taken: the
 ground, where the sensor looks down far enough."""
 
@@ -210,7 +210,7 @@ def _check(path: Path, *, about: Mapping[str, str]) -> bool:
 def height_above_returns(points: Floats) -> float | None:
     """How high the sensor is above what it sees below it, metres, by returns (N, 3) from it."""
     below = points[(np.hypot(points[:, 0], points[:, 1]) < BELOW_M) & (points[:, 2] < 0), 2]
-    return -float(np.quantile(below, LOWEST)) if len(below) >= LEAST_BELOW else None
+    return -float(np.quantile(below, LOWEST)) if len(below) >= MIN_BELOW else None
 
 
 def read_completion(path: Path) -> Look:

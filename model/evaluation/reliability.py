@@ -106,8 +106,8 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
     and over all voxels
     the negative log-likelihood, the Brier score, and the expected calibration error, which is the
     mean of
-    |occupied - said| by bin, with 95 % intervals. Readings that nobody gave, and regions without
-    voxels, are left out.
+    |occupied - said| by bin, with 95 % intervals. Probability types that a method lacks, and
+    regions without voxels, are omitted.
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """

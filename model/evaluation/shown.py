@@ -66,7 +66,7 @@ def route_to(
     )
 
 
-MOST = 3
+MAX_FAILURES = 3
 WIDE = 900
 """Pixels of a picture."""
 
@@ -85,7 +85,7 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
     for n, trial in enumerate(learned[name].trials):
         if trial.hit is not None:
             worlds.setdefault(int(result.trial_worlds[n]), n)
-    return name, list(worlds.values())[:MOST]
+    return name, list(worlds.values())[:MAX_FAILURES]
 
 
 def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:

@@ -12,7 +12,7 @@ from scenegen.fly.simulation import Observation
 
 AHEAD_M, AHEAD_S = 0.3, 0.4
 """The point of the path that is headed for: so far ahead, and so many seconds at the speed."""
-LEAST_AHEAD_M = 0.15
+MIN_AHEAD_M = 0.15
 """The least distance of the point that is headed for, metres."""
 CUT_M = 0.2
 """Room beside the vehicle with which corners may be cut, metres."""
@@ -85,7 +85,7 @@ def follow(
         part = next_points(ahead)
         straight = np.linspace(part[0], part[-1], POINTS)
         least = min(float(room(part).min()), radius + CUT_M)
-        if ahead <= LEAST_AHEAD_M or room(straight).min() > least - 1e-6:
+        if ahead <= MIN_AHEAD_M or room(straight).min() > least - 1e-6:
             break
         ahead *= 0.7
     look = min(sight, left)

@@ -49,7 +49,7 @@ PACKAGES = ("torch", "safetensors")
 
 @dataclass(frozen=True, kw_only=True)
 class Watcher:
-    """Who is told how a run goes, and may end it."""
+    """Callbacks of a run; `stop` may end it."""
 
     on_start: Callable[[int, int, int], None] = lambda epoch, total, done: None
     """Called when an epoch begins, with its number from 0, its maps, and how many of them are

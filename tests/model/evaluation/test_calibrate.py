@@ -25,7 +25,7 @@ TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 
 @pytest.fixture
 def weights(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "LEAST_WORLDS", 1)
+    monkeypatch.setattr(module, "MIN_WORLDS", 1)
     saved_network(tmp_path / "net.safetensors", dataset.grid, TRAINED)
     return tmp_path / "net.safetensors"
 
@@ -79,7 +79,7 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
         Completer.from_pretrained(odd)
     with pytest.raises(DatasetError, match="one dataset is given twice"):
         calibrate(weights, [dataset.folder] * 2, tmp_path / "none.safetensors", split="test")
-    monkeypatch.setattr(module, "LEAST_WORLDS", 20)
+    monkeypatch.setattr(module, "MIN_WORLDS", 20)
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
         calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
     assert not (tmp_path / "none.safetensors").exists()
