@@ -4,7 +4,7 @@
     python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
     python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.md
 
-ENTRIES is a folder with an entry of each robot, as `scenegen fly --suite` writes them; one that is
+ENTRIES is a folder with an entry of each robot, as `scenegen fly suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
 robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the last scan
 alone. Decisions are timed in this process alone.

@@ -29,7 +29,8 @@ from scenegen import Dataset, preset
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, rows_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import brief, summarise, table
+from scenegen.model.evaluation.statistics import brief, summarise
+from scenegen.model.tables import markdown
 from scenegen.recipes import kind_names
 from scenegen.run.software import commit
 
@@ -185,7 +186,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
         if shares:
             spread = f"{np.mean(shares):.2f} on average, {min(shares):.2f} to {max(shares):.2f}"
             lines += ["", f"*Held out* as a share of *seen in training*: {spread}."]
-        lines += ["", table([f"`{one}`" for one in (*kinds, *places)], matrix)]
+        lines += ["", markdown([f"`{one}`" for one in (*kinds, *places)], matrix)]
     if places:
         means = {
             row: [np.mean([rows[row][place][name]["mean"] for place in places]) for name in TITLES]

@@ -16,7 +16,8 @@ from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import Scale, brief, summarise, table
+from scenegen.model.evaluation.statistics import Scale, brief, summarise
+from scenegen.model.tables import markdown
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -102,7 +103,7 @@ def titled(
     rows: Iterable[tuple[str, Iterable[str]]],
 ) -> list[str]:
     """A table below its title: a column for each of `heads`, and rows by name."""
-    return ["", title, "", table([*heads], rows)]
+    return ["", title, "", markdown([*heads], rows)]
 
 
 def told(values: Any, groups: Any, form: str, scale: Scale = "amount") -> str:

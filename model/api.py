@@ -44,7 +44,7 @@ def train(
         weights: A network whose weights are the first ones; random by default.
         device: "cpu", "cuda", or "auto".
         workers: Processes that read samples.
-        watcher: Who is told how the run goes, and may end it.
+        watcher: Callbacks of the run.
         settings: Fields of `NetworkConfig` (`variant`, `inputs`, `width`, …), of `LossConfig`
             (`occupancy`, `eikonal`, …) and of `TrainConfig` (`epochs`, `maps`, `batch`, `lr`, …).
 
@@ -73,8 +73,10 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
-    own = ",".join(name for name in (config.network.variant, *config.network.inputs) if ":" in name)
-    return Completer.from_pretrained(f"{own}@{folder}" if own else folder)
+    code = ",".join(
+        name for name in (config.network.variant, *config.network.inputs) if ":" in name
+    )
+    return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
 
 
 def bench(
@@ -104,7 +106,10 @@ def bench(
     """
     config = BenchConfig(**settings)
     rows = rows_of(
-        [one if isinstance(one, str | Completer) else Completed(one) for one in _listed(methods)]
+        [
+            method if isinstance(method, str | Completer) else Completed(method)
+            for method in _listed(methods)
+        ]
         or USUAL
     )
     measured = [open_data(name) for name in _listed(datasets)]
@@ -115,16 +120,16 @@ def bench(
     return build_report(results, seed=config.seed, about={"split": config.split})
 
 
-def _samples(given: Any, split: str) -> list[Samples]:
-    """The samples of one split of all that is `given`."""
-    if isinstance(given, Mapping):
-        return opened(given if split == "train" else [*given], split)
-    found, named = _listed(given), (str, Path, AnyDataset)
+def _samples(datasets: Any, split: str) -> list[Samples]:
+    """The samples of one split of all that `datasets` names."""
+    if isinstance(datasets, Mapping):
+        return opened(datasets if split == "train" else [*datasets], split)
+    found, named = _listed(datasets), (str, Path, AnyDataset)
     # all at once, so that two datasets that share samples are found
     there = iter(opened([one for one in found if isinstance(one, named)], split))
     return [next(there) if isinstance(one, named) else one for one in found]
 
 
-def _listed(given: Any) -> Sequence[Any]:
-    """What is `given` in a list, or alone."""
-    return given if isinstance(given, list | tuple) else [given]
+def _listed(value: Any) -> Sequence[Any]:
+    """A list, of one where `value` is none."""
+    return value if isinstance(value, list | tuple) else [value]

@@ -115,16 +115,16 @@ def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
     "my_net:Net,my_input:rise@runs/mine" is the network in runs/mine, which may be made of these
     two. A file alone never has code imported, whatever its header says.
     """
-    found = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
-    return (frozenset(found[1].split(",")), found[2]) if found else (frozenset(), str(weights))
+    match = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
+    return (frozenset(match[1].split(",")), match[2]) if match else (frozenset(), str(weights))
 
 
 def split_name(weights: str) -> tuple[str, str]:
     """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
     exists is WEIGHTS as it stands."""
-    name, equals, rest = weights.partition("=")
+    name, equals, place = weights.partition("=")
     named = equals and re.fullmatch(r"[\w. -]+", name) and not Path(split_own(weights)[1]).exists()
-    return (name, rest) if named else ("", weights)
+    return (name, place) if named else ("", weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,9 +139,6 @@ class NetworkConfig:
     return, alone); one's own as module:function."""
     width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
-    stem_stride: Literal[1, 2] = 2
-    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second,
-    after one at full resolution (ours)."""
     heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
     height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)
@@ -227,19 +224,16 @@ class TrainConfig:
     """Maps between two looks at validation; a pass over all maps unless given (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
-    optimizer: Literal["auto", "muon", "adamw"] = "auto"
-    """What makes a step of a gradient; docs/training.md compares them. Auto is muon, and for a run
-    of 0.2.0, which had no other, adamw (ours)."""
+    optimizer: Literal["muon", "adamw"] = "muon"
+    """What makes a step of a gradient; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
-    schedule: Literal["decay", "cosine", "constant"] = "decay"
+    schedule: Literal["decay", "constant"] = "decay"
     """How the learning rate falls. "decay": it stays level until validation stalls or the budget
-    nears its end, then falls along a line to 0, where training ends (ours). "cosine": it falls
-    along a cosine, to 0 at the end of the budget, and training is cut off where validation
-    stalls. "constant": it never falls and has no warm-up; training ends where validation
-    stalls."""
+    nears its end, then falls along a line to 0, where training ends (ours). "constant": it never
+    falls and has no warm-up; training ends where validation stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)

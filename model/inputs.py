@@ -96,13 +96,13 @@ def input_called(name: str) -> Channel:
 
     Raises ScenegenError for a name that leads to none.
     """
-    found = named(INPUTS, name)
+    function = named(INPUTS, name)
     if not is_own(name):
-        return found
+        return function
 
     def checked(seen: Any, grid: GridSpec, sensor: Any) -> Field:
         try:
-            values = np.asarray(found(seen, grid, sensor), np.float32)
+            values = np.asarray(function(seen, grid, sensor), np.float32)
         except Exception as error:  # a loader process hands over no traceback
             raise told(error) from None
         if values.shape != grid.shape or not np.isfinite(values).all():
@@ -126,8 +126,8 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
     """What the points of a sample tell of its map; None where it is not of one scan in its
     middle."""
     scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
-    alone = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
-    return scan if alone else None
+    single = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
+    return scan if single else None
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:

@@ -45,11 +45,11 @@ def loss_of(config: LossConfig, grid: GridSpec, divisor: Divisor = at_least_one)
     """
     if not is_own(config.objective):
         return Coupled(config, grid, divisor)
-    found = named(LOSSES, config.objective)
-    own = found(config, grid) if isinstance(found, type) else found
+    objective = named(LOSSES, config.objective)
+    function = objective(config, grid) if isinstance(objective, type) else objective
 
     def loss(output: Output, batch: Batch) -> dict[str, Tensor]:
-        terms = own(output, batch)
+        terms = function(output, batch)
         if not isinstance(terms, Mapping):
             return {"loss": terms}
         return {"loss": sum(terms.values()), **terms}
@@ -116,7 +116,7 @@ class Coupled:
             occupancy = occupancy & known
         margins = margins.flatten(1)
         return torch.stack(
-            [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
+            [_lovasz(*pair) for pair in zip(margins, occupancy.flatten(1), strict=True)]
         ).mean()
 
     def regression_loss(
@@ -164,7 +164,7 @@ def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
     errors = 1 - torch.where(occupied, margins, -margins)
     held = errors > 0
     errors, order = errors[held].sort(descending=True)
-    beside = ~occupied[held][order]
+    free = ~occupied[held][order]
     wrong = torch.arange(1, len(errors) + 1, device=errors.device)
-    lost = wrong / (occupied.sum() + beside.cumsum(0))
+    lost = wrong / (occupied.sum() + free.cumsum(0))
     return errors @ lost.diff(prepend=lost.new_zeros(1))

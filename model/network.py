@@ -92,9 +92,8 @@ class Network(nn.Module):
         self.tasks = variant.tasks
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
-        stride = config.stem_stride
         self.preprocess = nn.Sequential(
-            *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
+            *_convolution(inputs, finest, stride=2), *_convolution(finest, finest)
         )
         self.encoder = nn.ModuleList(
             nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
@@ -122,12 +121,12 @@ class Network(nn.Module):
 
     def features(self, batch: Batch) -> dict[str, Tensor]:
         """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
-        given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
-        x, skips = self.preprocess(given), []
+        voxels = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
+        x, skips = self.preprocess(voxels), []
         for encode in self.encoder:
             x = encode(x)
             skips.append(x)
-        columns = None if self.columns is None else self.columns(given, skips)
+        columns = None if self.columns is None else self.columns(voxels, skips)
         features = dict.fromkeys(self.decoder, self.attention(x))  # F_s
         for level in reversed(range(LEVELS)):
             features = {
@@ -161,8 +160,8 @@ class SelfAttention(nn.Module):
         cells = x.flatten(2).transpose(1, 2)  # (B, cells, C)
         qkv = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1))
         q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, heads, cells, C / heads) each
-        found = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-        return x + self.out(found).transpose(1, 2).unflatten(2, x.shape[2:])
+        result = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        return x + self.out(result).transpose(1, 2).unflatten(2, x.shape[2:])
 
 
 class Decoder(nn.Module):
@@ -214,28 +213,21 @@ class FinalUp(nn.Module):
     upper bound of the logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, below: int, width: int, fields: int = 1):
+    def __init__(self, below: int, width: int):
         super().__init__()
         self.refine = nn.Sequential(
-            *_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True)
+            *_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True)
         )
-        self.split = Conv3d(fields * width, fields * 8, 3, padding=1)
+        self.split = Conv3d(width, 8, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """As the class says."""
-        return self.each(x)[0]
-
-    def each(self, x: Tensor) -> list[Tensor]:
-        """The fields (B, X, Y, Z) that this head gives."""
         x = self.refine(x)
         # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
         with torch.autocast(x.device.type, enabled=False):
-            found = self.split(x.float())
-        cells = (field.unflatten(1, (2, 2, 2)) for field in found.split(8, dim=1))
+            cells = self.split(x.float()).unflatten(1, (2, 2, 2))
         # (B, i, j, k, x, y, z) → (B, x, i, y, j, z, k) → (B, X, Y, Z)
-        return [
-            c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells
-        ]
+        return cells.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2)
 
 
 class Columns(nn.Module):
@@ -285,13 +277,13 @@ class Columns(nn.Module):
         for level, (down, mix) in enumerate(zip(self.down, self.mix, strict=True)):
             flat = mix(down(flat) + self.take[level](_flat(skips[level])))
             seen.append(flat)
-        found = [flat]
+        result = [flat]
         for level in reversed(range(len(self.up))):
             flat = self.refine[level](torch.cat((self.up[level](flat), seen[level]), dim=1))
-            found.insert(0, flat)
+            result.insert(0, flat)
         return [
             give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
-            for give, flat, level in zip(self.give, found, self._levels, strict=True)
+            for give, flat, level in zip(self.give, result, self._levels, strict=True)
         ]
 
 
@@ -315,8 +307,8 @@ class _Direct:
         if plain and torch.is_inference_mode_enabled() and torch.backends.mkldnn.is_available():
             given = self.padding, self.stride, self.dilation, self.groups
             return torch.mkldnn_convolution(x, self.weight, self.bias, *given)
-        found: Tensor = super().forward(x)  # type: ignore[misc]
-        return found
+        result: Tensor = super().forward(x)  # type: ignore[misc]
+        return result
 
 
 class Conv2d(_Direct, nn.Conv2d):

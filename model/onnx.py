@@ -25,7 +25,7 @@ from scenegen.files import Json, check_ours, read_bounded, write_result
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Batch, FinalUp, Network, Output, prefers_bfloat16
+from scenegen.model.network import Batch, Output, prefers_bfloat16
 from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
@@ -60,16 +60,16 @@ def load_onnx(
     """
     content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
-        found = _examined(content, runtime)
-    check_own(path, own, *found.config.inputs)
-    run = _open(content, found, threads)
+        file = _examined(content, runtime)
+    check_own(path, own, *file.config.inputs)
+    run = _open(content, file, threads)
 
     def forward(batch: Batch) -> Output:
-        values = run({name: batch[name].float().numpy(force=True) for name in found.config.inputs})
-        said = dict(zip(found.outputs, map(torch.from_numpy, values), strict=True))
-        return Output(*map(said.get, NAMES.values()))
+        values = run({name: batch[name].float().numpy(force=True) for name in file.config.inputs})
+        by_name = dict(zip(file.outputs, map(torch.from_numpy, values), strict=True))
+        return Output(*map(by_name.get, NAMES.values()))
 
-    return forward, found
+    return forward, file
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ def _examined(content: bytes, runtime: str | None) -> Examined:
         graph = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"is not an ONNX file that can be read ({error})") from None
-    found = Examined(usable[0], *graph)
-    features = found.config.width * int(np.prod(found.grid.shape))
+    file = Examined(usable[0], *graph)
+    features = file.config.width * int(np.prod(file.grid.shape))
     memory += BYTES_A_FEATURE * features
     try:
-        guarded(_try, (content, found), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
+        guarded(_try, (content, file), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"{usable[0]} cannot run it: {error}; export it again") from None
-    return found
+    return file
 
 
 def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str, ...]]:
@@ -127,11 +127,21 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"its header is damaged ({printable(error)[:200]}); export it again"
         ) from None
     graph = model.graph
+    attributes = [each for node in graph.node for each in node.attribute]
+    tensors = [
+        *graph.initializer,
+        *(each.t for each in attributes),
+        *(tensor for each in attributes for tensor in each.tensors),
+    ]
     odd = sorted({node.op_type for node in graph.node if node.op_type in LOOPS or node.domain})
-    tensors = _tensors(graph)
-    if odd or model.functions or any(tensor.data_location for tensor in tensors):
+    elsewhere = any(tensor.data_location for tensor in tensors)
+    sparse = graph.sparse_initializer or any(
+        each.HasField("sparse_tensor") or each.sparse_tensors for each in attributes
+    )
+    if odd or model.functions or elsewhere or sparse:
         raise CheckpointError(
-            f"has loops or parts elsewhere, which no export may have ({printable(odd)[:100]})"
+            "has loops, sparse tensors or parts elsewhere, which no export has "
+            f"({printable(odd)[:100]})"
         )
     inputs = [each.name for each in graph.input]
     if sorted(inputs) != sorted(config.inputs):
@@ -149,23 +159,6 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"{' and '.join(variant.tasks)}; export it again"
         )
     return config, grid, about, tuple(NAMES[task] for task in tasks)
-
-
-def _tensors(graph: Any) -> list[Any]:
-    """All tensors of a graph without subgraphs: its weights, and constants among its nodes. Sparse
-    ones are as their values and indices."""
-    attributes = [each for node in graph.node for each in node.attribute]
-    sparse = [
-        *graph.sparse_initializer,
-        *(each.sparse_tensor for each in attributes),
-        *(tensor for each in attributes for tensor in each.sparse_tensors),
-    ]
-    return [
-        *graph.initializer,
-        *(each.t for each in attributes),
-        *(tensor for each in attributes for tensor in each.tensors),
-        *(part for tensor in sparse for part in (tensor.values, tensor.indices)),
-    ]
 
 
 def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
@@ -194,10 +187,10 @@ def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
 def _try(task: tuple[bytes, Examined]) -> None:
     """Complete two empty maps. Raises CheckpointError where what comes is no completion, and what
     the runtime does."""
-    content, found = task
-    shape = (2, *found.grid.shape)  # a file may take one alone
-    run = _open(content, found, threads=1)
-    values = run({name: np.zeros(shape, np.float32) for name in found.config.inputs})
+    content, file = task
+    shape = (2, *file.grid.shape)  # a file may take one alone
+    run = _open(content, file, threads=1)
+    values = run({name: np.zeros(shape, np.float32) for name in file.config.inputs})
     good = [
         value.shape == shape and value.dtype == np.float32 and np.isfinite(value).all()
         for value in values
@@ -251,42 +244,17 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
 
 
 class Traced(nn.Module):
-    """A network whose output is a plain tuple, as tracing wants it, and whose heads are one where
-    they read the same features: two convolutions in place of four, the second half zeros, take less
-    time."""
+    """A network whose output is a plain tuple, as tracing wants it."""
 
     def __init__(self, network: Any):
         super().__init__()
         self.network = network
-        shared = isinstance(network, Network) and len(network.head) > 1
-        self.heads = _joined(network) if shared and "tudf" not in network.decoder else None
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """The network's inputs in their order, (B, X, Y, Z) each → its outputs, those of
         `NAMES`."""
-        batch = dict(zip(self.network.config.inputs, inputs, strict=True))
-        if self.heads is None:
-            output = Output(*self.network(batch))
-        else:
-            found = self.heads.each(self.network.features(batch)["shared"])
-            output = Output.of(dict(zip(self.network.head, found, strict=True)))
+        output = self.network(dict(zip(self.network.config.inputs, inputs, strict=True)))
         return tuple(part for part in output if part is not None)
-
-
-def _joined(network: Network) -> FinalUp:
-    """One head that gives the fields of all: its filters are theirs, with zeros between what
-    belongs to two."""
-    states = [head.state_dict() for head in network.head.values()]
-    state = {
-        name: torch.cat([one[name] for one in states]) if values.ndim else values
-        for name, values in states[0].items()
-    }
-    filters = torch.block_diag(*(one["split.weight"].flatten(1) for one in states))
-    state["split.weight"] = filters.unflatten(1, (-1, 3, 3, 3))
-    width, below = states[0]["refine.0.weight"].shape[:2]
-    whole = FinalUp(below, width, len(states))
-    whole.load_state_dict(state)
-    return whole
 
 
 def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> None:

@@ -33,7 +33,6 @@ Fusion        → most               → NaN
 Fusion        → occupied           → 0.4
 Fusion        → occupied           → 0.98
 NetworkConfig → variant            → "both"
-NetworkConfig → stem_stride        → 3
 NetworkConfig → heads              → 5
 NetworkConfig → width              → 0
 TrainConfig   → epochs             → 0

@@ -105,8 +105,8 @@ complete d --weights run -o p --device cpu
 complete scan.XYZ --weights run -o s.h5 --device cpu
 complete d --weights n.onnx -o o
 bench d --weights run --predictions p --quick --workers 1
-fly w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
-fly --replay f.json
+fly world w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
+fly replay f.json
 publish d --repo ada/d --dry-run --quick --workers 1
 doctor
 completion bash

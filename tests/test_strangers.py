@@ -24,8 +24,8 @@ export n.safetensors                    → n.onnx
 calibrate n.safetensors d -o c.safetensors                    → c.safetensors
 complete scan.npy --weights n.safetensors --device cpu        → scan.completed.h5
 map scan.npy --assume-free              → map.npz
-fly pillar --robot reactive --flights 1 -o f.json             → f.json
 take d --n 1 -o t.json                  → t.json
+fly world pillar --robot reactive --flights 1 -o f.json       → f.json
 """
 """Commands and a file that each writes."""
 GENERATE = "generate --recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"

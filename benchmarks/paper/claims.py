@@ -24,7 +24,7 @@ from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.figures import summaries
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.report import PAPER, TUNED
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,
@@ -33,8 +33,8 @@ from scenegen.model.evaluation.statistics import (
     estimate,
     holm,
     interval,
-    table,
 )
+from scenegen.model.tables import markdown
 
 QUESTIONS = {
     "Q1": (
@@ -347,7 +347,7 @@ def to_markdown(study: Json) -> str:
     blocks = [
         "# The study",
         f"The paper's tables make {all_claims.total()} claims: {_counts(all_claims)}.",
-        table(("verdict", "claims"), verdicts),
+        markdown(("verdict", "claims"), verdicts),
         "## How it was measured",
         RULE,
         f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
@@ -365,7 +365,7 @@ def to_markdown(study: Json) -> str:
         maps = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
         spent.append((f"`{name}`", (run["asks"], maps, f"{run['sha256'][:12]}…")))
     heads = ("what for", "maps seen of samples, hours", "weights")
-    return "\n\n".join([*blocks, "## Runs", table(heads, spent)]) + "\n"
+    return "\n\n".join([*blocks, "## Runs", markdown(heads, spent)]) + "\n"
 
 
 def _counts(verdicts: Mapping[str, int]) -> str:
@@ -383,7 +383,7 @@ def _of_kind(study: Json, kind: str) -> list[str]:
     ):
         tried = [claim for claim in claims if claim["kind"] == kind and claim["pairs"]]
         heads = ("verdict", "p (Holm)", "difference [95 % interval]")
-        blocks += [title, table(heads, map(_judged, tried))]
+        blocks += [title, markdown(heads, map(_judged, tried))]
     means = [
         (row, [brief(figures[name]) for name in SHOWN])
         for row, figures in study["means"][kind].items()
@@ -391,7 +391,7 @@ def _of_kind(study: Json, kind: str) -> list[str]:
     return [
         *blocks,
         "Means over test maps and trials, with 95 % intervals:",
-        table([ALL[name].label for name in SHOWN], means),
+        markdown([ALL[name].label for name in SHOWN], means),
     ]
 
 

@@ -121,16 +121,18 @@ def bench(
             on_done=progress.count,
         )
     command = shlex.join(["scenegen", *sys.argv[1:]])
-    told = {"command": command, "commit": commit(), "split": config.split}
-    report = build_report(results, seed=config.seed, about=told)
+    facts = {"command": command, "commit": commit(), "split": config.split}
+    report = build_report(results, seed=config.seed, about=facts)
     write_result(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
     write_result(out / "report.md", to_markdown(report).encode())
     pictures: dict[str, list[tuple[str, bytes]]] = {}
     with suppress(ImportError):  # the report does without matplotlib
-        for one in results:
-            pictures[one.kind] = draw_charts(report, one.kind) + draw_failures(one, methods)
+        for result in results:
+            pictures[result.kind] = draw_charts(report, result.kind) + draw_failures(
+                result, methods
+            )
     write_result(out / "report.html", to_html(report, pictures).encode())
     if tell(report):
         show_tables(report)
@@ -153,5 +155,5 @@ def show_tables(report: Json) -> None:
             }
             show_columns(cells, list(names), f"{kind}, {table}")
         say(f"{kind}: {trial_counts(about)}")
-        for told in notes(about):
-            say(f"note: {kind}: {told}")
+        for line in notes(about):
+            say(f"note: {kind}: {line}")

@@ -1,5 +1,5 @@
-"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, of a
-log, or of what a sensor sees in a map."""
+"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, or of a
+log."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 COMPLETIONS = "completions.json"
 """The file of a folder of completions that says of which scans they are, and whose."""
-MOST_SHOWN = 24
-"""Completions on the page of a folder, a log or a map, evenly spread."""
+MAX_SHOWN = 24
+"""Completions on the page of a folder or a log, evenly spread."""
 
 
 @command(
@@ -45,7 +45,6 @@ MOST_SHOWN = 24
     "complete scan.ply --sensor 0 0 1.2",
     "complete kitti/sequences/00/velodyne -o completed",
     "complete drive.mcap --every 10 -o completed",
-    "complete campus.bt --n 50 -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(
@@ -61,7 +60,7 @@ MOST_SHOWN = 24
     "--out",
     "out",
     type=OutputFile(folders=True),
-    help="File to write; of a dataset, a folder of scans, a log or a map, a folder.  [default: "
+    help="File to write; of a dataset, a folder of scans or a log, a folder.  [default: "
     "predictions, or <scan>.completed.h5]",
 )
 @click.option(
@@ -78,9 +77,6 @@ MOST_SHOWN = 24
     help="Complete every n-th scan of a folder or a log.",
 )
 @log_options
-@click.option(
-    "--n", "count", type=click.IntRange(1, 10**6), default=MOST_SHOWN, help="Viewpoints in a map."
-)
 @device_option
 @click.option(
     "--batch",
@@ -91,13 +87,12 @@ MOST_SHOWN = 24
 @workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "n sensor columns every poses poses-of topic fixed-frame")
+@group("Scans and logs", "sensor columns every poses poses-of topic fixed-frame")
 def complete(
     source: Path | str,
     weights: str,
     split: str,
     out: Path | None,
-    count: int,
     device: str,
     batch: int,
     workers: int,
@@ -108,13 +103,12 @@ def complete(
     columns: int | None,
     log_reading: dict[str, Any],
 ) -> None:
-    """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
+    """Complete a dataset's split, a scan, all scans in a folder and below it, or a log.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz, .npy, .las or .laz: points in metres, z up. A log is
     what `ingest` takes: a recording of ROS, or a folder with poses, such as a
-    sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
-    .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
-    some completions where there are several. Given a dataset again after a stop, it goes on where
+    sequence of KITTI's; its scans are turned upright by their poses. A page shows some completions
+    where there are several. Given a dataset again after a stop, it goes on where
     it was. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
     """
@@ -125,6 +119,7 @@ def complete(
         predict_scan,
         read_line,
         read_scan,
+        summary,
         tasks_of,
     )
     from scenegen.model.training.device import choose_device
@@ -135,6 +130,11 @@ def complete(
     path = locate(source, shown=not quiet)
     check_type(path, *DATA, "log", "scans", "map", "scan")
     name = type_of(path)
+    if name == "map":
+        raise DatasetError(
+            f"{path}: is a map; see it first: `scenegen generate --scene {path} --n 24`, then "
+            "complete that dataset"
+        )
     stored = name in DATA
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
@@ -149,27 +149,25 @@ def complete(
     if tasks and tasks[2] and not quiet:
         note(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
-    if tasks or name == "map":
-        stem = path.stem if path.is_file() else real_path(path).name
-        out = out or Path(f"{stem}.completed")
-        if tasks:
-            options = {"sensor": sensor, "columns": columns, **log_reading}
-            about = {name: str(value) for name, value in options.items() if value is not None}
-            about |= {"source": str(real_path(path)), "weights": completer.digest}
-            claim(out, COMPLETIONS, about)
-            complete_scans(completer, tasks[0], tasks[1], out, quiet)
-        else:
-            _complete_map(completer, path, count, out, quiet)
+    if tasks:
+        name = path.stem if path.is_file() else real_path(path).name
+        out = out or Path(f"{name}.completed")
+        options = {"sensor": sensor, "columns": columns, **log_reading}
+        about = {name: str(value) for name, value in options.items() if value is not None}
+        about |= {"source": str(real_path(path)), "weights": completer.digest}
+        claim(out, COMPLETIONS, about)
+        complete_scans(completer, tasks[0], tasks[1], out, quiet)
         return
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
     existed = out.is_file()
     if stored:
         _complete_split(completer, open_data(path), split, out, execute, quiet)
     else:
-        completed = predict_scan(completer, read_scan(path, sensor, columns), out)
+        reports = [predict_scan(completer, read_scan(path, sensor, columns), out)]
         if not quiet:
-            note(read_line([completed]))
-            say(f"{path}: {completed}; completed by {completer.name}")
+            note(read_line(reports))
+            lines = "; ".join(summary(completer, reports))
+            say(f"{path}: {lines}; completed by {completer.name}")
     if not quiet:
         say(f"{'replaced' if existed else 'written'}: {out}")
 
@@ -190,7 +188,7 @@ def _complete_split(
     from scenegen.model.completion.predictions import predict_split
 
     with Progress("complete", shown=not quiet) as progress:
-        away = predict_split(
+        away, damaged = predict_split(
             completer,
             dataset,
             split,
@@ -199,9 +197,11 @@ def _complete_split(
             on_start=progress.start,
             on_done=progress.count,
         )
+    for name in damaged:
+        note(f"{out / name}: was not as it was written; it was completed again")
     for warning in () if quiet else completer.unlike(dataset.settings):
         note(f"note: {warning}")
-    far = sum(one >= UNUSUAL for one in away)
+    far = sum(share >= UNUSUAL for share in away)
     if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
         note(
             f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
@@ -216,63 +216,53 @@ def complete_scans(
     """Complete `count` scans into files of their names in the folder `out`, and write a page of
     some.
 
-    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
-    end where some could not be completed.
+    Those that are there, as they were written, are passed over. Raises DiskError at once, and
+    DatasetError at the end where some could not be completed.
     """
     from scenegen.display.look import evenly
     from scenegen.display.page import page
-    from scenegen.model.completion.scans import predict_scan, read_completion, read_line, summary
+    from scenegen.model.completion.scans import (
+        about_scan,
+        is_intact,
+        predict_scan,
+        read_completion,
+        read_line,
+        summary,
+    )
 
-    done, there, broken = [], [], 0
+    reports, completions, failed = list[Any](), list[Path](), 0
     with Progress("complete", shown=not quiet) as progress:
         progress.start(count)
         for name, read in scans:
             target = out / f"{name}.h5"
-            if not target.exists():
+            intact = target.exists() and is_intact(target, about_scan(completer, name))
+            if target.exists() and not intact:
+                note(f"{target}: is damaged, or of another scan; it is completed again")
+                target.unlink()
+            if not intact:
                 try:
-                    done.append(predict_scan(completer, read(), target))
+                    reports.append(predict_scan(completer, read(), target, name=name))
                 except DiskError:
                     raise
                 except DatasetError as error:
-                    broken += 1
+                    failed += 1
                     note(printable(error))
             if target.exists():
-                there.append(target)
+                completions.append(target)
             progress.count(1)
-    if there:
-        looks = [read_completion(there[n]) for n in evenly(len(there), MOST_SHOWN)]
+    if completions:
+        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_SHOWN)]
         known = any("occupancy" in look.masks for look in looks)
         notes = ["Where the log knows nothing, predictions are not shown."] * known
         write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
-    if broken:
+    if failed:
         raise DatasetError(
-            f"{out}: {broken} of {count} scans could not be completed; the others are there"
+            f"{out}: {failed} of {count} scans could not be completed; the others are there"
         )
-    if not quiet and done:
-        note(read_line(done))
-    if not quiet:
-        for line in summary(done):
+    if quiet:
+        return
+    if reports:
+        note(read_line(reports))
+        for line in summary(completer, reports):
             note(f"note: {line}")
-        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")
-
-
-def _complete_map(completer: "Completer", place: Path, count: int, out: Path, quiet: bool) -> None:
-    """Fly a sensor through a map, into the dataset `out`/seen; complete what it saw, and write a
-    page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
-    from scenegen.dataset.build import build
-    from scenegen.dataset.generation import plan_generation
-    from scenegen.dataset.manifest import load
-    from scenegen.dataset.read import Dataset
-    from scenegen.dataset.schema import NAME
-    from scenegen.model.commands.view import write_page
-    from scenegen.model.commands.weights import chosen
-
-    there, predictions = out / "seen", out / "predictions"
-    (plan,) = plan_generation(n=count, scene=place, out=there).datasets
-    if (there / NAME).exists() and load(there).parameters != plan.manifest.parameters:
-        raise DatasetError(f"{out}: holds another map, or another --n of it; give another -o")
-    build(plan)
-    seen = Dataset(there)
-    _complete_split(completer, seen, "train", predictions, None, quiet)
-    guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
-    write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
+    say(f"{out}: {len(completions)} completions; look at {out / 'index.html'}")

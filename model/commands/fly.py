@@ -1,10 +1,10 @@
-"""`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
+"""`scenegen fly`: a robot flies to goals, closed loop: through a world or a suite's courses.
+Recordings of flights are flown again, and ranked."""
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -15,15 +15,16 @@ from scenegen.cli.options import (
     command,
     difficulty_option,
     executing,
-    flags_given,
     group,
     lidar_option,
     noise_option,
     options_of,
     out_option,
     printing,
+    quiet_option,
     seed_option,
     taken,
+    together,
     was_given,
 )
 from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
@@ -36,76 +37,77 @@ from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
 from scenegen.run import Executor, check_together
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course
+    from scenegen.fly.course import Course, Flights
     from scenegen.fly.loop import Flown
 
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 """A folder to read."""
-MOST_FLIGHTS = 10_000
-OF_WORLD = (
-    "flights",
-    "worlds",
-    "difficulty",
-    "lidar",
-    "noise",
-    "moving",
-    "seed",
-    *(item.name for kind in (Vehicle, Rules) for item in dataclasses.fields(kind)),
+MAX_FLIGHTS = 10_000
+
+robot_options = together(
+    click.option(
+        "--robot",
+        type=Named(Registry("robot", dict.fromkeys(NAMES, "")), paths=True),
+        default="optimistic",
+        help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
+        "quotes, which run in a process of their own.",
+    ),
+    click.option(
+        "--weights",
+        type=Weights(),
+        help="The robot maps, and this network completes: what all scans say, or with --robot "
+        "returns the last one.",
+    ),
 )
-"""Options that courses of a suite do not take: theirs are frozen."""
+picture_options = together(
+    click.option(
+        "--picture",
+        type=OutputFile(".png"),
+        help="A picture (.png) of the first world and the ways through it.",
+    ),
+    click.option(
+        "--film",
+        type=OutputFile(".html"),
+        help="A page (.html) that plays the first flight, and what the robot takes for occupied.",
+    ),
+    click.option(
+        "--log",
+        type=click.Path(path_type=Path),
+        help="What the sensor saw on the first flight, as `scan --sequence` writes logs: a folder, "
+        "or .mcap.",
+    ),
+    group("What is drawn", "picture film log"),
+    executing,
+    printing,
+)
+
+
+def track_options(hidden: str, maps: str) -> Callable[[Any], Any]:
+    """--hidden and --maps, with their texts."""
+    return together(
+        click.option("--hidden", type=click.IntRange(0), metavar="SEED", help=hidden),
+        click.option("--maps", type=FOLDER, help=maps),
+    )
+
+
+@click.group()
+def fly() -> None:
+    """Fly a robot to goals by what its LiDAR sees, closed loop; check and rank recordings."""
 
 
 @command(
-    "fly pillar --weights columns --flights 20",
-    "fly scenes/forest.xml --robot my_robot:Robot -o flights.json --picture flights.png",
-    "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
-    "fly --replay entry.json",
-    "fly --leaderboard entries -o page.html",
+    "fly world pillar --weights columns --flights 20",
+    "fly world scenes/forest.xml --robot my_robot:Robot -o flights.json --picture flights.png",
 )
-@click.argument("world", required=False, type=WORLD)
+@click.argument("name", metavar="WORLD", type=WORLD)
+@robot_options
 @click.option(
-    "--robot",
-    type=Named(Registry("robot", dict.fromkeys(NAMES, "")), paths=True),
-    default="optimistic",
-    help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
-    "quotes, which run in a process of their own.",
-)
-@click.option(
-    "--weights",
-    type=Weights(),
-    help="The robot maps, and this network completes: "
-    "what all scans say, or with --robot returns the last one.",
-)
-@click.option(
-    "--suite",
-    type=Choice(SUITES),
-    help="Fly all courses of a suite, in place of WORLD: 300 worlds, or with --quick 19. An entry "
-    "that -o has already goes on where it was.",
-)
-@click.option(
-    "--hidden",
-    type=click.IntRange(0),
-    metavar="SEED",
-    help="With --suite: 50 courses that this number draws, in place of the suite's own. With "
-    "--replay: the number of the entries.",
-)
-@click.option(
-    "--maps",
-    type=FOLDER,
-    help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
-    "suite's own. With --replay: where the entries' maps are.",
-)
-@click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
-@click.option(
-    "--flights",
-    type=click.IntRange(1, MOST_FLIGHTS),
-    default=10,
-    help="Starts and goals.",
+    "--flights", type=click.IntRange(1, MAX_FLIGHTS), default=10, help="Starts and goals."
 )
 @click.option(
     "--worlds",
-    type=click.IntRange(1, MOST_FLIGHTS),
+    type=click.IntRange(1, MAX_FLIGHTS),
     default=1,
     help="Worlds of a kind, drawn by the seed and those after it; each has its share of the "
     "flights.",
@@ -124,204 +126,234 @@ OF_WORLD = (
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
 @seed_option("Seed of the world, the goals and the noise.")
-@click.option(
-    "--replay",
-    "recorded",
-    type=FILE,
-    help="Fly what -o wrote again, in place of all else, and compare every bit and figure. With "
-    "--robot or --weights, that robot flies every sixteenth course anew, too; exit code 1 if it "
-    "flies otherwise.",
-)
-@click.option(
-    "--leaderboard",
-    "entries",
-    type=FOLDER,
-    help="Write a page (-o, .html) of all entries in a folder, in place of all else.",
-)
 @out_option("Where to record the flights, .json.")
-@click.option(
-    "--picture",
-    type=OutputFile(".png"),
-    help="A picture (.png) of the first world and the ways through it.",
-)
-@click.option(
-    "--film",
-    type=OutputFile(".gif", ".html"),
-    help="A film of the first flight, and what the robot takes for occupied: .gif from above, or "
-    ".html, a page that plays it in three dimensions.",
-)
-@click.option(
-    "--log",
-    type=click.Path(path_type=Path),
-    help="What the sensor saw on the first flight, as `scan --sequence` writes logs: a folder, or "
-    ".mcap.",
-)
-@executing
-@printing
+@picture_options
 @group("Robot", "robot weights radius speed acceleration dynamics")
-@group("Courses", "suite hidden maps quick flights worlds difficulty apart moving replay")
-def fly(
-    world: str | None,
-    robot: str,
-    weights: str | None,
-    suite: str | None,
-    hidden: int | None,
-    maps: Path | None,
-    quick: bool,
+@group("Courses", "flights worlds difficulty apart moving seed")
+def world(
+    name: str,
     flights: int,
     worlds: int,
-    recorded: Path | None,
-    entries: Path | None,
-    out: Path | None,
-    picture: Path | None,
-    film: Path | None,
-    log: Path | None,
-    execute: Executor,
-    tell: Tell,
-    talk: bool,
+    seed: int,
+    difficulty: str | None,
+    lidar: str | None,
+    noise: str | None,
+    moving: bool,
     **options: Any,
 ) -> None:
-    """Fly a robot to goals through a world, by what its LiDAR sees: ten times a second it decides.
+    """Fly a robot through a world: a kind's, an MJCF file, or a map of a real place.
 
-    The world is a kind's name, an MJCF file, or a map of a real place.
+    Ten times a second the sensor scans, and the robot decides.
     """
-    _check()
-    if entries is not None:
-        if out is None:
-            raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
-        from scenegen.model.robots.board import leaderboard
+    from scenegen.fly.course import Course
 
-        write_result(out, leaderboard(entries).encode())
-        if talk:
-            say(f"written: {out}")
-        return
-    from scenegen.dataset.locate import file_sha256
-    from scenegen.fly.suite import chosen_courses, track_name
-    from scenegen.model.robots.flights import (
-        ANEW,
-        check_begins,
-        crew_of,
-        flown_again,
-        fly_course,
-        fly_courses,
-        real_course,
-        rows_of,
-        summary,
+    parts: Any = (
+        kind(**{field: options.pop(field) for field in taken(kind, options)})
+        for kind in (Vehicle, Rules)
     )
-    from scenegen.worlds.world import solid
-
-    if talk:
-        announce_compilation()
-    network = ""
-    if weights is not None:  # before anything is flown: there may be none
-        from scenegen.model.completion.completer import locate
-
-        network = file_sha256(locate(weights))
-    is_given = weights is not None or was_given("robot")
-    fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
-    check_together(execute, "a row of flights takes")
-    notes, unlike = dict[str, str](), list["Flown"]()
-    pilot = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
-    if recorded is not None:
-        anew = fly_one if is_given else None
-        with Progress("replay", shown=talk) as progress:
-            crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
-            name, by_course, notes, unlike = flown_again(recorded, hidden, maps, anew, crew)
-    else:
-        name = pilot
-        if suite is None:
-            courses = _courses(str(world), flights, worlds, options)
-        else:
-            courses = chosen_courses(suite, hidden, maps, quick=quick)
-        first = real_course(courses[0], hidden)
-        if weights is None:
-            check_begins(robot, first)
-        if picture is not None:
-            solid(first.drawn, first.world)
-        about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
-        with Progress("fly", shown=talk) as progress:
-            crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
-            by_course = fly_courses(courses, fly_one, name, suite, out, crew, **about)
-    if picture or film or log:
-        course, flown = by_course[0]
-        shown = (robot, weights) if is_given or not recorded else None
-        _show(real_course(course, hidden), flown, name, shown, picture, film, log)
-    all_flights = [flight for _, flown in by_course for flight in flown]
-    row = summary(name, all_flights) | notes
-    if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew_of(execute))}):
-        show_table(row)
-        for end in sorted({flight.trouble for flight in [*all_flights, *unlike]} - {""}):
-            say(f"robot: {end}")
-        for path in filter(None, (out, picture, film, log)):
-            say(f"written: {path}")
-    if unlike:
-        raise ScenegenError(
-            f"{recorded}: {pilot} flew {notes[ANEW]} as they are recorded; the recording is of "
-            f"robot {name}"
+    vehicle, rules = parts
+    shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
+    courses = [
+        Course(
+            world=name,
+            seed=seed + n,
+            flights=share,
+            difficulty=difficulty,
+            lidar=lidar or "raster",
+            noise=noise or "",
+            moving=moving,
+            vehicle=vehicle,
+            rules=rules,
         )
+        for n, share in enumerate(shares)
+        if share
+    ]
+    _fly(courses, **options)
 
 
-def _check() -> None:
-    """Raise, before anything is flown, for options that do not go together, and for results that
-    cannot be written."""
-    context: Any = click.get_current_context()
-    asked = SimpleNamespace(**context.params)
-    ways = asked.world, asked.suite, asked.recorded, asked.entries
-    if sum(one is not None for one in ways) != 1:
-        raise click.UsageError("give one of WORLD, --suite, --replay FILE, --leaderboard FOLDER")
-    if asked.world is None and (odd := flags_given(OF_WORLD)):
-        raise click.UsageError(
-            f"{odd[0]}: says how a WORLD is flown through, and none is given; leave it out"
-        )
-    of_suite = ("quick",) if asked.world is None else ("quick", "hidden", "maps")
-    if asked.suite is None and flags_given(of_suite):
-        raise click.UsageError(
-            "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
-        )
-    if asked.hidden is not None and asked.maps:
+@command(
+    "fly suite --robot my_robot:Robot -o entry.json",
+    "fly suite --quick --weights columns -o quick.json",
+)
+@click.argument("suite", metavar="[SUITE]", type=Choice(SUITES), default=SUITES[0])
+@robot_options
+@click.option("--quick", is_flag=True, help="Every sixteenth course.")
+@track_options(
+    "50 courses that this number draws, in place of the suite's own.",
+    "24 courses through the maps of real places in this folder, in place of the suite's own.",
+)
+@out_option("The entry, .json; one that is there goes on where it was.")
+@picture_options
+@group("Robot", "robot weights")
+@group("Courses", "quick hidden maps")
+def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
+    """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19."""
+    from scenegen.fly.suite import chosen_courses
+
+    track = _track(hidden, maps)
+    courses = chosen_courses(suite, hidden, maps, quick=quick)
+    _fly(courses, suite=suite, hidden=hidden, track=track, **options)
+
+
+def _track(hidden: int | None, maps: Path | None) -> str:
+    """The name of the track. Raises UsageError where both are given."""
+    from scenegen.fly.suite import track_name
+
+    if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
-    if asked.weights is not None and was_given("robot") and asked.robot != FORGETFUL:
+    return track_name(hidden, maps)
+
+
+def _fly(
+    courses: "Sequence[Course]",
+    *,
+    robot: str,
+    weights: str | None,
+    out: Path | None,
+    talk: bool,
+    execute: Executor,
+    suite: str | None = None,
+    hidden: int | None = None,
+    track: str = "",
+    **shown: Any,
+) -> None:
+    """Fly through courses, record that, and print and draw it."""
+    from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
+
+    name, network, work = _begin(robot, weights, hidden, shown["log"], execute, talk)
+    first = real_course(courses[0], hidden)
+    if weights is None:
+        check_begins(robot, first)
+    if shown["picture"]:
+        from scenegen.worlds.world import solid
+
+        solid(first.drawn, first.world)
+    with Progress("fly", shown=talk) as progress:
+        crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+        flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
+    crew = crew_of(execute)
+    _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **shown)
+
+
+def _begin(
+    robot: str,
+    weights: str | None,
+    hidden: int | None,
+    log: Path | None,
+    execute: Executor,
+    talk: bool,
+) -> tuple[str, str, Any]:
+    """The robot's name, the SHA-256 of its network, and what flies it through a course. Raises
+    before anything is flown for what cannot be."""
+    from scenegen.dataset.locate import file_sha256
+    from scenegen.model.completion.completer import locate
+    from scenegen.model.robots.flights import fly_course
+
+    if weights is not None and was_given("robot") and robot != FORGETFUL:
         raise click.UsageError(
             "--weights says which robot flies; leave out --robot, but for --robot returns, which "
             "completes the last scan alone"
         )
-    if asked.out and asked.recorded:
-        raise click.UsageError("--replay records nothing; leave out -o")
-    if asked.log is not None:
-        check_free(asked.log)
+    if log is not None:
+        check_free(log)
+    check_together(execute, "a row of flights takes")
+    if talk:
+        announce_compilation()
+    name, network = robot, ""
+    if weights is not None:
+        name = f"{weights}, last scan" if robot == FORGETFUL else weights
+        network = file_sha256(locate(weights))
+    work = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
+    return name, network, work
 
 
-def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "Sequence[Course]":
-    """Courses through a world, or through several of a kind."""
-    from scenegen.fly.course import Course
+@command("fly replay entry.json", "fly replay entry.json --robot my_robot:Robot")
+@click.argument("path", metavar="RECORDING", type=FILE)
+@robot_options
+@track_options("The number of an entry's hidden track.", "Where an entry's maps are.")
+@picture_options
+@group("Robot", "robot weights")
+@group("Courses", "hidden maps")
+def replay(
+    path: Path,
+    robot: str,
+    weights: str | None,
+    hidden: int | None,
+    maps: Path | None,
+    talk: bool,
+    execute: Executor,
+    **shown: Any,
+) -> None:
+    """Fly a recording again, and compare every bit and figure.
 
-    about = {
-        "vehicle": Vehicle(**taken(Vehicle, options)),
-        "rules": Rules(**taken(Rules, options)),
-        "lidar": options["lidar"] or "raster",
-        "noise": options["noise"] or "",
-        "difficulty": options["difficulty"],
-        "moving": options["moving"],
-    }
-    shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
-    return [
-        Course(world=world, seed=options["seed"] + n, flights=share, **about)
-        for n, share in enumerate(shares)
-        if share
-    ]
+    With --robot or --weights, that robot flies every sixteenth course anew, too; exit code 1 if it
+    flies otherwise.
+    """
+    from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
+
+    track = _track(hidden, maps)
+    pilot, _, work = _begin(robot, weights, hidden, shown["log"], execute, talk)
+    recording, notes = open_recording(path, track, maps)
+    name, unlike, filmed = recording.robot, list["Flown"](), None
+    with Progress("replay", shown=talk) as progress:
+        crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+        flown = fly_again(path, recording, hidden, crew)
+        notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
+        if weights is not None or was_given("robot"):
+            filmed = robot, weights
+            count, unlike = fly_anew(recording, work, crew)
+            notes[ANEW] = f"{count - len(unlike)} of {count} flights"
+    crew = crew_of(execute)
+    _show(flown, name, filmed, notes, unlike, hidden=hidden, crew=crew, files=[], **shown)
+    if unlike:
+        raise ScenegenError(
+            f"{path}: {pilot} flew {notes[ANEW]} as they are recorded; the recording is of robot "
+            f"{name}"
+        )
+
+
+@command("fly rank entries -o page.html")
+@click.argument("entries", type=FOLDER)
+@out_option("The page.", ".html", required=True)
+@quiet_option
+def rank(entries: Path, out: Path, quiet: bool) -> None:
+    """Write a page that ranks the entries to a suite in a folder."""
+    from scenegen.model.robots.board import leaderboard
+
+    write_result(out, leaderboard(entries).encode())
+    if not quiet:
+        say(f"written: {out}")
+
+
+for subcommand in (world, suite, replay, rank):
+    fly.add_command(subcommand)
 
 
 def _show(
-    course: "Course",
-    flown: "Sequence[Flown]",
+    flown: "Flights",
     name: str,
-    robot: tuple[str, str | None] | None,
+    filmed: tuple[str, str | None] | None,
+    notes: Mapping[str, str] = MappingProxyType({}),
+    unlike: "Sequence[Flown]" = (),
+    *,
+    hidden: int | None,
+    crew: Callable[..., Any],
+    tell: Tell,
+    files: Sequence[Path | None],
     picture: Path | None,
     film: Path | None,
     log: Path | None,
 ) -> None:
-    """Write what is asked for of a course's flights; a film has what the `robot`, named as for
-    `robot_maker`, takes for occupied, or else shows the flight alone."""
+    """Draw the first course's flights, and print the figures of all, with `notes`, what was wrong
+    with the robot, also in flights that are `unlike` recorded ones, and which `files` were written.
+
+    A film has what the robot `filmed`, named as for `robot_maker`, takes for occupied, or else
+    shows the flight alone.
+    """
+    from scenegen.model.robots.flights import real_course, robot_maker, rows_of, summary
+
+    (first, ways), *_ = flown
+    course = real_course(first, hidden)
     if picture is not None:
         from scenegen.display.oblique import VIEW
         from scenegen.display.panels import RED, to_bytes
@@ -329,23 +361,28 @@ def _show(
         from scenegen.worlds.world import solid
 
         figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
-        for one in flown:
-            colour = "#1d7a2f" if one.outcome == "success" else RED
-            figure.axes[0].plot(*VIEW.project(one.path).T, color=colour, zorder=6)
+        for flight in ways:
+            colour = "#1d7a2f" if flight.outcome == "success" else RED
+            figure.axes[0].plot(*VIEW.project(flight.path).T, color=colour, zorder=6)
         write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
-        from scenegen.model.robots.film import film as flight_film
         from scenegen.model.robots.film import flight_page
-        from scenegen.model.robots.flights import robot_maker
 
-        made = None if robot is None else robot_maker(*robot)(course)
-        draw = flight_film if film.suffix == ".gif" else partial(flight_page, name)
+        robot = None if filmed is None else robot_maker(*filmed)(course)
         try:
-            write_result(film, draw(course, 0, made, flown[0]))
+            write_result(film, flight_page(name, course, 0, robot, ways[0]))
         finally:
-            getattr(made, "close", lambda: None)()
+            getattr(robot, "close", lambda: None)()
     if log is not None:
         from scenegen.fly.course import log_of
         from scenegen.logs.write import write_log
 
-        write_log(log, log_of(course, 0, flown[0]))
+        write_log(log, log_of(course, 0, ways[0]))
+    flights = [flight for _, several in flown for flight in several]
+    row = {**summary(name, flights), **notes}
+    if tell(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
+        show_table(row)
+        for trouble in sorted({flight.trouble for flight in [*flights, *unlike]} - {""}):
+            say(f"robot: {trouble}")
+        for path in filter(None, (*files, picture, film, log)):
+            say(f"written: {path}")

@@ -26,13 +26,13 @@ from scenegen.paths import function_for, type_of
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
 
-MOST_SHOWN = 64
+MAX_SHOWN = 64
 """The most samples on a sheet."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
 FILMS = (".webp", ".gif")
 COLUMNS_MM = {"one": "88", "two": "180"}
 """Widths of columns of a paper, as most journals have them."""
-LEAST_WIDE = 140 / 25.4
+MIN_WIDTH = 140 / 25.4
 """The narrowest picture for print of anything but samples, inches."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 
@@ -59,7 +59,7 @@ def _width(text: str) -> float:
     "--sheet",
     "--n",
     "count",
-    type=click.IntRange(1, MOST_SHOWN),
+    type=click.IntRange(1, MAX_SHOWN),
     help="So many samples on one sheet, evenly spread.",
 )
 @click.option(
@@ -128,12 +128,12 @@ def render(
     from scenegen.files import write_result
 
     notes: list[str] = []
-    if name in (None, "dataset"):
+    if name in (None, *DATA):
         figure, notes = _draw_samples(
             source, shown=not quiet, film=film, suffix=out.suffix, **options
         )
     else:
-        if (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
+        if (options["paper"] or MIN_WIDTH) < MIN_WIDTH:
             raise click.UsageError(
                 "--paper: only samples fit into less than 140 mm; give two, or more"
             )
@@ -198,7 +198,7 @@ def _draw_samples(
 def _same_world(found: "AnyDataset", split: str, index: int) -> list[int]:
     """The samples of a sample's world, in order, as many as are shown."""
     names = found.split(split).names
-    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MOST_SHOWN]
+    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MAX_SHOWN]
 
 
 def _draw_archived(found: "AnyDataset", split: str, index: int, title: str) -> Any:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from scenegen.model.training.card import Scalars
     from scenegen.model.training.data import Samples
 
-MOST_LOADERS = 8
+MAX_LOADERS = 8
 """Loader processes that are begun unasked, where there is a GPU to feed."""
 VAL_MAPS = 500
 """Maps of a stream's own validation split, where no dataset is named."""
@@ -109,10 +109,9 @@ class Weighted(click.ParamType):
     epochs="The budget in passes over the datasets.",
     interval="Maps between two validations, instead of a pass.",
     batch="Maps a step, on all devices together.",
-    optimizer="The optimizer; auto is muon, or what a run began with.",
+    optimizer="The optimizer.",
     lr="Learning rate after the warm-up.",
-    schedule="How the rate falls: once validation stalls or the budget nears its end, along a "
-    "cosine, or never.",
+    schedule="How the rate falls: once validation stalls or the budget nears its end, or never.",
     patience="Validations without a lower loss after which training has stalled.",
     choose="Which network is kept: lowest validation loss, lowest loss of occupancy, or last.",
     seed="Decides the first weights and the order of samples.",
@@ -129,11 +128,7 @@ class Weighted(click.ParamType):
     default=NetworkConfig.inputs,
     help=f"A channel that it takes: {', '.join(INPUTS.builtin)}, or MODULE:FUNCTION; repeatable.",
 )
-@options_of(
-    NetworkConfig,
-    width="Channels at the first level.",
-    stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
-)
+@options_of(NetworkConfig, width="Channels at the first level.")
 @click.option(
     "--weights",
     type=Weights(),
@@ -179,7 +174,7 @@ class Weighted(click.ParamType):
 )
 @out_option("The run's folder.  [default: runs/<variant>]")
 @printing
-@group("Network", "variant input width stem-stride weights")
+@group("Network", "variant input width weights")
 @group("Loss", "loss lambda-occupancy lambda-tudf eikonal occupied-weight lovasz beta")
 @group(
     "Training",
@@ -224,13 +219,13 @@ def train(
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, streams, stream_seed, val_maps, config, talk)
+        training, checking = _samples(datasets, streams, stream_seed, val_maps, talk)
         chosen = choose_device(device)
         if workers is None:
             workers = (
-                0 if chosen.type == "cpu" else min(MOST_LOADERS, 1 << (cores().bit_length() - 1))
+                0 if chosen.type == "cpu" else min(MAX_LOADERS, 1 << (cores().bit_length() - 1))
             )
-        shown = _Shown(config, progress, talk)
+        shown = _Shown(config.network.variant, progress, talk)
         rows = run(
             training,
             checking,
@@ -246,8 +241,8 @@ def train(
         )
     best = RunFolder(out).best() or rows[-1]
     seconds = time.monotonic() - begin
-    told = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
-    if not (first and tell(told)):
+    summary = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
+    if not (first and tell(summary)):
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
@@ -267,7 +262,6 @@ def _samples(
     streams: tuple[tuple[str, float], ...],
     seed: int,
     count: int | None,
-    config: TrainConfig,
     talk: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates: `datasets`, or `streams` of a `seed`, and `count`
@@ -284,10 +278,6 @@ def _samples(
         folders = find_datasets(names, shown=talk)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
-    if config.maps is None:
-        raise click.UsageError(
-            "--stream has no end; say how many maps to see with --maps, such as --maps 200000"
-        )
     if datasets and count is not None:
         raise click.UsageError(
             "--val-maps validates on the stream, and datasets are named; leave one of the two out"
@@ -308,9 +298,9 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
     from scenegen.model.checkpoint import check_own
     from scenegen.model.completion.completer import open_network
 
-    if given := [name for name in taken(NetworkConfig, options) if was_given(name)]:
+    if conflicts := [name for name in taken(NetworkConfig, options) if was_given(name)]:
         raise click.UsageError(
-            f"--weights brings its network; leave out what else says of one: {', '.join(given)}"
+            f"--weights brings its network; leave out what else says of one: {', '.join(conflicts)}"
         )
     network, _, about = open_network(weights)
     try:
@@ -330,13 +320,13 @@ class _Shown:
     """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
     an epoch."""
 
-    def __init__(self, config: TrainConfig, progress: Progress, talk: bool):
-        self._config, self._progress, self._talk = config, progress, talk
+    def __init__(self, variant: str, progress: Progress, talk: bool):
+        self._variant, self._progress, self._talk = variant, progress, talk
         self._recent, self._iou, self.begun = 0.0, "", False
 
     def on_start(self, epoch: int, total: int, done: int) -> None:
         self.begun = True
-        self._progress.restart(f"{self._config.network.variant}, epoch {epoch + 1}", total, done)
+        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, done)
 
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
@@ -346,7 +336,7 @@ class _Shown:
     def on_epoch(self, row: "Scalars") -> None:
         self._iou = f", validation {_ious(row)}"
         if self._talk:
-            seconds, loss = row["seconds"], row["train_loss"]
+            loss, seconds = row["train_loss"], row["seconds"]
             say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
 
 
@@ -357,9 +347,9 @@ def _validated(row: "Scalars") -> str:
 
 def _ious(row: "Scalars") -> str:
     """IoU at the paper's threshold, and at the best one."""
-    found = f"IoU {row['val_iou']:.3f} at the paper's threshold"
+    text = f"IoU {row['val_iou']:.3f} at the paper's threshold"
     for name, unit in UNITS.items():
         if (best := row.get(f"val_best_{name}")) is not None:
             paper = getattr(Thresholds(), name)
-            found += f" {paper:g}{unit}, {row['val_best_iou']:.3f} at the best, {best:g}{unit}"
-    return found
+            text += f" {paper:g}{unit}, {row['val_best_iou']:.3f} at the best, {best:g}{unit}"
+    return text

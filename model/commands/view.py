@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
     from scenegen.display.look import Guesses
 
-MOST_SHOWN = 200
+MAX_SHOWN = 200
 """The most samples in a file."""
 
 
@@ -50,7 +50,7 @@ MOST_SHOWN = 200
 @click.option(
     "--n",
     "count",
-    type=click.IntRange(1, MOST_SHOWN),
+    type=click.IntRange(1, MAX_SHOWN),
     default=24,
     help="In a file: how many samples, evenly spread, where no --index is given.",
 )

@@ -35,8 +35,8 @@ class Weights(click.ParamType):
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Bundled networks that begin with what is typed, or else files."""
-        found = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
-        return found or [CompletionItem(incomplete, type="file")]
+        items = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
+        return items or [CompletionItem(incomplete, type="file")]
 
 
 class NamedWeights(Weights):
@@ -50,7 +50,7 @@ class NamedWeights(Weights):
         return str(value)
 
 
-MOST_TRIAL = 10_000
+MAX_TRIAL = 10_000
 
 shown_options = together(
     click.option(
@@ -68,7 +68,7 @@ shown_options = together(
     ),
     click.option(
         "--trial",
-        type=click.IntRange(0, MOST_TRIAL),
+        type=click.IntRange(0, MAX_TRIAL),
         default=0,
         help="Which of the bench's goals in the sample paths lead to.",
     ),

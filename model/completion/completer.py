@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -40,7 +40,7 @@ from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
-MOST_SAID = 300
+MAX_DIFFERENCE = 300
 """Characters that are said of how two sensors differ."""
 TRAINING = "in training", "here"
 """What the two sides of a difference are called: what a network learned from, and its input."""
@@ -99,8 +99,8 @@ class Completer:
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
-            run, found = load_onnx(path, threads=threads, own=own)
-            grid, about, inputs = found.grid, found.about, found.config.inputs
+            run, file = load_onnx(path, threads=threads, own=own)
+            grid, about, inputs = file.grid, file.about, file.config.inputs
         else:
             network, grid, about = load_network(path, own)
             inputs = network.config.inputs
@@ -111,13 +111,13 @@ class Completer:
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
-        said = printable(called(name, path))
+        title = printable(called(name, path))
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         return cls(
             forward=run,
             grid=grid,
-            name=said,
+            name=title,
             inputs=inputs,
             about=about,
             batch=batch,
@@ -146,15 +146,15 @@ class Completer:
         input cannot hold, and where no point is in the map; PredictionError where the network says
         NaN, or what is no probability or distance.
         """
-        given: Any = maps
+        inputs: Any = maps
         names = "observed", *self.inputs
         with on_threads(self.threads):
-            if getattr(given, "ndim", 0) == 2:
-                given = self.scan_of(given, sensor)
-            if isinstance(given, Sample | PointScan):
-                lidar = getattr(given, "lidar", None)  # of points nobody knows it
-                given = channels(names, given, self.grid, lidar)
-            batch = given if isinstance(given, Mapping) else {"observed": given}
+            if getattr(inputs, "ndim", 0) == 2:
+                inputs = self.scan_of(inputs, sensor)
+            if isinstance(inputs, Sample | PointScan):
+                lidar = getattr(inputs, "lidar", None)  # of points nobody knows it
+                inputs = channels(names, inputs, self.grid, lidar)
+            batch = inputs if isinstance(inputs, Mapping) else {"observed": inputs}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
                     f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
@@ -189,7 +189,7 @@ class Completer:
             prediction = Prediction(probability, tudf, self.calibration, seen)
             return check_prediction(prediction, shape, self.name)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the network's file."""
         return file_sha256(locate(self.opened[0]))
@@ -224,7 +224,9 @@ class Completer:
     def unlike(self, settings: Iterable[Sensing]) -> list[str]:
         """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
         not learn from; see the function `unlike`."""
-        return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
+        return sorted(
+            filter(None, {unlike(self.name, self.about, *sensing) for sensing in settings})
+        )
 
     def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
         """The scan of points (N, 3), metres, seen from `sensor` (3,), less those that are no
@@ -232,45 +234,45 @@ class Completer:
         rows = np.asarray(points, float)
         if rows.shape[1:] != (3,):
             raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
-        here = finite("sensor", sensor, 3)
-        returned = rows[are_returns(rows, here)]
-        found = PointScan(points=returned, position=here, grid=self.grid)
-        if not len(found.voxels):
+        position = finite("sensor", sensor, 3)
+        returned = rows[are_returns(rows, position)]
+        scan = PointScan(points=returned, position=position, grid=self.grid)
+        if not len(scan.voxels):
             raise ValueError(
                 f"none of {len(rows)} points is in the map ({len(rows) - len(returned)} are no "
-                f"returns), {self.grid.extent_m.tolist()} m around the sensor at {here.tolist()}; "
-                "give metres, and where the sensor is"
+                f"returns), {self.grid.extent_m.tolist()} m around the sensor at "
+                f"{position.tolist()}; give metres, and where the sensor is"
             )
-        return found
+        return scan
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
         try:
-            given = (
+            tensor = (
                 # a copy, for torch takes no arrays that cannot be written to
                 maps if isinstance(maps, Tensor) else torch.from_numpy(np.array(maps, order="C"))
             )
         except TypeError:
-            said = (
+            message = (
                 f"{name} is of type {type(maps).__name__}; expected a sample, or a map as an array"
             )
-            raise ValueError(said) from None
-        if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
+            raise ValueError(message) from None
+        if tensor.shape[-3:] != self.grid.shape or tensor.ndim not in (3, 4):
             raise ValueError(
-                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, "
+                f"{name} has shape {tuple(tensor.shape)}, expected {self.grid.shape} or (B, "
                 f"*{self.grid.shape}): "
                 f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
             )
-        if not given.numel():
+        if not tensor.numel():
             raise ValueError(f"{name} holds no map; give at least one")
         if name in BINARY:
-            if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
+            if tensor.dtype != torch.bool and not ((tensor == 0) | (tensor == 1)).all():
                 raise ValueError(
                     f"{name} holds values other than 0 and 1; expected a mask of voxels"
                 )
-        elif not given.isfinite().all():
+        elif not tensor.isfinite().all():
             raise ValueError(f"{name} holds NaN or infinity; expected finite numbers")
-        return given
+        return tensor
 
     @torch.inference_mode()
     def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
@@ -329,7 +331,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             distance, what = 1, "maps made otherwise"
         else:
             return 0, ""
-        line = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        line = "; ".join(sensor + faults + maps)[:MAX_DIFFERENCE]
         line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
         return distance, line
 
@@ -369,8 +371,8 @@ def locate(name: str | Path) -> Path:
         return BUNDLED / f"{name}.safetensors"
     path = Path(name)
     if path.is_dir():
-        if there := [path / inside for inside in NAMES_IN_FOLDER if (path / inside).is_file()]:
-            return there[0]
+        if files := [path / inside for inside in NAMES_IN_FOLDER if (path / inside).is_file()]:
+            return files[0]
         raise CheckpointError(
             f"{path}: a folder without {' or '.join(NAMES_IN_FOLDER)}; give a run's folder or a "
             f"file"

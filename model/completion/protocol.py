@@ -38,8 +38,8 @@ class Prediction:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
     def __repr__(self) -> str:
-        given = [name for name in PARTS if getattr(self, name) is not None]
-        return f"<Prediction: {', '.join(given)} {tuple(getattr(self, given[0]).shape)}>"
+        parts = [name for name in PARTS if getattr(self, name) is not None]
+        return f"<Prediction: {', '.join(parts)} {tuple(getattr(self, parts[0]).shape)}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: what each part is, its least, mean and greatest number."""
@@ -92,10 +92,8 @@ class Prediction:
 
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""
-        given = self.occupancy_probability if self.tudf is None else self.tudf
-        return (
-            values if values is None or isinstance(given, np.ndarray) else given.new_tensor(values)
-        )
+        like = self.occupancy_probability if self.tudf is None else self.tudf
+        return values if values is None or isinstance(like, np.ndarray) else like.new_tensor(values)
 
 
 def plain(values: Any) -> Any:

@@ -32,9 +32,9 @@ from scenegen.model.evaluation.visibility import UNOBSERVED, Case
 from scenegen.run import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.run.workers import ALONE
 
-LOGIT, MOST_LOGIT = 0.05, 20.0
+LOGIT, MAX_LOGIT = 0.05, 20.0
 """Width of the bins of logits, and where they end."""
-LOGITS = np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
+LOGITS = np.arange(-MAX_LOGIT + 0.5 * LOGIT, MAX_LOGIT, LOGIT)
 """The middles of these bins."""
 LEVELS = np.arange(1, 21) / 20
 """Shares of validation maps at which it is kept how many returns are denied."""
@@ -48,7 +48,7 @@ def count_logits(
 ) -> Ints:
     """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
     2), free and occupied ones apart. The arrays have one shape."""
-    steps = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
+    steps = (corrected_logit(probability[unknown], class_weight) + MAX_LOGIT) / LOGIT
     at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
@@ -65,7 +65,7 @@ def fit_temperature(counts: Ints, powers: Floats) -> float:
     return math.exp(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x)
 
 
-LEAST_WORLDS = 20
+MIN_WORLDS = 20
 """Fewer are too few for a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
@@ -146,15 +146,15 @@ def calibrate(
     parts = counted(execute, work, tasks, total=total, on_start=on_start, on_done=on_done)
     # in the order of the maps, wherever and whenever each was counted
     maps = sorted(
-        (one for part in parts for one in part), key=lambda one: (one.dataset, one.number)
+        (item for part in parts for item in part), key=lambda item: (item.dataset, item.number)
     )
-    shares = np.array([one.denied for one in maps])
+    shares = np.array([item.denied for item in maps])
     levels = np.quantile(shares, LEVELS).tolist()
     powers = familiar(away_of(shares, levels))
     fitted = Calibration(
-        worlds=len({(one.dataset, one.world) for one in maps}),
+        worlds=len({(item.dataset, item.world) for item in maps}),
         class_weight=weight,
-        temperature=fit_temperature(np.array([one.logits for one in maps]), powers),
+        temperature=fit_temperature(np.array([item.logits for item in maps]), powers),
         datasets=digests,
         denied=tuple(levels),
     )
@@ -184,10 +184,10 @@ def _tasks(datasets: Sequence[AnyDataset], split: str, most: int | None) -> list
         chosen = evenly(len(part), most or len(part))
         worlds |= {(number, part.names[n][1]) for n in chosen}
         tasks += [_Task(number, dataset, rows) for rows in chunked(chosen, CHUNK)]
-    if len(worlds) < LEAST_WORLDS:
+    if len(worlds) < MIN_WORLDS:
         folders = ", ".join(dataset.name for dataset in datasets)
         raise DatasetError(
-            f"{folders}: {len(worlds)} worlds in split {split}, expected {LEAST_WORLDS} at least; "
+            f"{folders}: {len(worlds)} worlds in split {split}, expected {MIN_WORLDS} at least; "
             f"make a larger {split} split, or give more datasets"
         )
     return tasks

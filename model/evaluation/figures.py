@@ -83,18 +83,18 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
         for name, metric in metrics.items()
         if region in metric.tested and (region != "unmarked" or result.marks_unknown)
     ]
-    found = []
-    for (first, one), (second, other) in combinations(result.methods.items(), 2):
+    rows = []
+    for (first, first_result), (second, second_result) in combinations(result.methods.items(), 2):
         for region, name in tested:
             if region == "unmarked":
-                pair = one.without_marks, other.without_marks
+                pair = first_result.without_marks, second_result.without_marks
             else:
-                pair = one, other
+                pair = first_result, second_result
             a, b = (method.values(name, int(region == "unobserved")) for method in pair)
             worlds = result.worlds_of(name)
             gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
             title = name if region == "map" else f"{region}_{name}"
-            found.append(
+            rows.append(
                 {
                     "first": first,
                     "second": second,
@@ -105,6 +105,6 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
                     "p": paired_p(a, b, worlds, rng=rng),
                 }
             )
-    for row, corrected in zip(found, holm([row["p"] for row in found]).tolist(), strict=True):
+    for row, corrected in zip(rows, holm([row["p"] for row in rows]).tolist(), strict=True):
         row["p_holm"] = corrected
-    return found
+    return rows

@@ -14,22 +14,19 @@ from typing import Any, Protocol
 import h5py
 import numpy as np
 
-from scenegen.dataset.layout import READ_ERRORS, Chunks
 from scenegen.dataset.read import AnyDataset, Split
-from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
+from scenegen.errors import DatasetError, ScenegenError, printable, raised_as
 from scenegen.files import real_path
-from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
-from scenegen.model.calibration import StoredProbability
-from scenegen.model.completion.predictions import read_guarded
+from scenegen.limits import GUARD_S
 from scenegen.model.completion.protocol import (
     PARTS,
-    STORED,
     MapCompleter,
     Prediction,
     PredictionError,
     check_prediction,
     plain,
 )
+from scenegen.model.completion.stored import check_file, pairs_in, prediction_at, read_guarded
 from scenegen.model.config import METHODS, split_name
 from scenegen.sample import Sample
 
@@ -52,14 +49,14 @@ class Completed:
     """A completer, shown nothing but what was seen."""
 
     def __init__(self, completer: MapCompleter):
-        name, complete = (getattr(completer, one, None) for one in ("name", "complete"))
-        what = "a `name`, a string" if not isinstance(name, str) else ""
+        name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
+        lacking = "a `name`, a string" if not isinstance(name, str) else ""
         try:
             inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
         except TypeError:
-            what = "a method `complete` that takes (observed, free, *, grid)"
-        if what:
-            raise PredictionError(f"{type(completer).__name__}: lacks {what}")
+            lacking = "a method `complete` that takes (observed, free, *, grid)"
+        if lacking:
+            raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")
         self._completer, self.name = completer, printable(name)
         self.learned = bool(getattr(completer, "learned", True))
         """Whatever the completer says of itself; one that says nothing may be."""
@@ -69,9 +66,9 @@ class Completed:
         prediction."""
         # copies: a completer may write to what it is given, which the other rows are shown, too
         maps = sample.observed.copy(), sample.free.copy()
-        found = self._completer.complete(*maps, grid=split.dataset.grid)
-        check_prediction(found, split.dataset.grid.shape, self.name)
-        return replace(found, **{name: plain(getattr(found, name)) for name in PARTS})
+        prediction = self._completer.complete(*maps, grid=split.dataset.grid)
+        check_prediction(prediction, split.dataset.grid.shape, self.name)
+        return replace(prediction, **{name: plain(getattr(prediction, name)) for name in PARTS})
 
 
 class Truth:
@@ -86,10 +83,6 @@ class Truth:
         return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))
 
 
-WHO = ("world", "viewpoint")
-"""Names of the columns that say which sample a row predicts."""
-
-
 class Predicted:
     """Predictions in an HDF5 file, or in all such files of a folder: `occupancy_probability` and/or
     `tudf`, float32 (N, *grid.shape); optionally `probability`, calibrated; and which sample each
@@ -99,24 +92,26 @@ class Predicted:
     learned = True
 
     def __init__(self, path: Path):
-        self.path, found, is_folder = path, real_path(path), path.is_dir()
-        self.name = printable(found.name if is_folder else found.stem)
+        self.path, real, is_folder = path, real_path(path), path.is_dir()
+        self.name = printable(real.name if is_folder else real.stem)
         self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
 
     def check(self, dataset: AnyDataset, split: str) -> None:
         """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
-        its grid, in numbers that can be.
+        its grid, in numbers that can be, and are as they were written, where they have digests.
 
         Another process, with limits, reads all of each first: HDF5 could make a small file large.
         That costs about as much as reading the file.
         """
         names = {(world, viewpoint) for _, world, viewpoint in dataset.split(split).names}
-        check = partial(_check_file, dataset=dataset, split=split, most=len(names))
-        seconds = GUARD_S + len(names) * math.prod(dataset.grid.shape) / 1e6
-        found = Counter[tuple[int, int]]()
+        shape = dataset.grid.shape
+        about = {"dataset": str(dataset.digest), "split": split}
+        check = partial(check_file, about=about, most=len(names), shape=shape)
+        seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
+        counts = Counter[tuple[int, int]]()
         for path in self._files:
-            found.update(read_guarded(check, path, 1 << 62, seconds))
-        if odd := sorted(name for name in names if found[name] != 1):
+            counts.update(read_guarded(check, path, 1 << 62, seconds))
+        if odd := sorted(name for name in names if counts[name] != 1):
             raise DatasetError(
                 f"{self.path}: {len(odd)} of {len(names)} samples are missing, or there twice, the "
                 f"first is world {odd[0][0]}, viewpoint {odd[0][1]}; predict each sample of split "
@@ -126,98 +121,18 @@ class Predicted:
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
         """File and row of every (split, world, viewpoint)."""
-        found: dict[tuple[str, int, int], tuple[Path, int]] = {}
+        rows: dict[tuple[str, int, int], tuple[Path, int]] = {}
         for path in self._files:
             with h5py.File(path, "r") as file:
                 split = str(file.attrs["split"])
-                found |= {(split, *pair): (path, row) for row, pair in enumerate(_pairs(file))}
-        return found
+                rows |= {(split, *pair): (path, row) for row, pair in enumerate(pairs_in(file))}
+        return rows
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises KeyError for a sample that is not predicted."""
         path, row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
         with h5py.File(path, "r") as file:
-            return _prediction(file, row)
-
-
-def _check_file(path: Path, *, dataset: AnyDataset, split: str, most: int) -> list[tuple[int, int]]:
-    """The samples, (world, viewpoint), that the file at `path` predicts. Raises DatasetError unless
-    they are at most so many, of `split` of `dataset`, on its maps."""
-    digest, shape = dataset.digest, dataset.grid.shape
-    wrong = raised_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
-    with wrong, h5py.File(path, "r") as file:
-        said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
-        if said[0] != digest:
-            raise DatasetError(
-                f"predicts dataset {printable(said[0])[:12]}…, not {dataset.name} "
-                f"({digest[:12]}…); predict this one, and copy its digest into the attribute "
-                "`dataset`"
-            )
-        if said[1] != split:
-            raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
-        _check_arrays(file, split, most, shape)
-        found = _pairs(file)
-        for row in range(len(found)):
-            check_prediction(_prediction(file, row), shape, f"row {row}")
-        return found
-
-
-def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]) -> None:
-    """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
-    one row a sample, at most so many, and maps of this shape."""
-    links = {name: file.get(name, getlink=True) for name in (*WHO, *STORED)}
-    names = [name for name, link in links.items() if link is not None]
-    if not set(WHO) <= set(names) or not set(PARTS) & set(names):
-        raise DatasetError(
-            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}; found {names}"
-        )
-    for name in names:
-        # other links lead to other files, as virtual and external data do
-        data: Any = file[name] if isinstance(links[name], h5py.HardLink) else None
-        is_here = isinstance(data, h5py.Dataset) and not data.is_virtual and not data.external
-        kinds, numbers, row_shape = "fiub", "float32", shape
-        if name in WHO:
-            kinds, numbers, row_shape = "iu", "whole numbers", ()
-        if not is_here or data.dtype.kind not in kinds:
-            raise DatasetError(f"{name} is no array of {numbers} in this file")
-        expected = (*file["world"].shape[:1], *row_shape)
-        if data.shape != expected:
-            raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
-        if data.chunks:
-            _check_chunks(name, data)
-    if (count := file["world"].shape[0]) > most:
-        raise DatasetError(f"predicts {count} samples, split {split} has {most}")
-    for name in names:  # HDF5 would make up zeros
-        if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
-            raise DatasetError(
-                f"{name} is not written to its end; predict each sample of split {split} once"
-            )
-
-
-def _check_chunks(name: str, data: h5py.Dataset) -> None:
-    """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever
-    comes out."""
-    if math.prod(data.chunks) * data.dtype.itemsize > MOST_CHUNK_BYTES:
-        raise DatasetError(f"{name} has chunks of {data.chunks}; store one map a chunk")
-    with raised_as(DatasetError, f"{name} ", "; store it plain or with gzip"):
-        chunks = Chunks(data.id)
-    offsets: list[tuple[int, ...]] = []
-    data.id.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
-    for offset in offsets:
-        begin = f"{name}: its chunk at {offset} cannot be unpacked: "
-        with raised_as(DatasetError, begin, of=READ_ERRORS):
-            chunks.read(offset)
-
-
-def _pairs(file: h5py.File) -> list[tuple[int, int]]:
-    return list(zip(*(file[name][:].tolist() for name in WHO), strict=True))
-
-
-def _prediction(file: h5py.File, row: int) -> Prediction:
-    maps = {name: file[name][row].astype(np.float32) for name in STORED if name in file}
-    probability = maps.pop("probability", None)
-    calibration = None if probability is None else StoredProbability(probability=probability)
-    return Prediction(**maps, calibration=calibration)
+            return prediction_at(file, row)
 
 
 def find_method(name: Any) -> Method:
@@ -229,13 +144,13 @@ def find_method(name: Any) -> Method:
     if not isinstance(name, str):
         return name
     with raised_as(ScenegenError, "--method: "):
-        found = METHODS.find(name)
+        kind = METHODS.find(name)
     odd = f"--method {name}: cannot be made by calling it without arguments: "
     with raised_as(ScenegenError, odd, of=TypeError):
-        made = found()
-    if name in METHODS.builtin and hasattr(made, "completion"):  # a row itself, not a completer
-        return made
-    return Completed(made)
+        method = kind()
+    if name in METHODS.builtin and hasattr(method, "completion"):  # a row itself, not a completer
+        return method
+    return Completed(method)
 
 
 def rows_of(

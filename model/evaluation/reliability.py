@@ -78,9 +78,9 @@ def count(
     """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
     so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
-    for n, said in enumerate(readings):
+    for n, probability in enumerate(readings):
         masks = inside.reshape(len(inside), -1)
-        _count(said.reshape(-1), occupancy.reshape(-1), masks, counts[:, n])
+        _count(probability.reshape(-1), occupancy.reshape(-1), masks, counts[:, n])
     return counts
 
 
@@ -106,12 +106,12 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
     and over all voxels
     the negative log-likelihood, the Brier score, and the expected calibration error, which is the
     mean of
-    |occupied - said| by bin, with 95 % intervals. Readings that nobody gave, and regions without
-    voxels, are left out.
+    |occupied - said| by bin, with 95 % intervals. Probability types that a method lacks, and
+    regions without voxels, are omitted.
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """
-    found: Json = {}
+    by_region: Json = {}
     for r, region in enumerate(REGIONS):
         for n, reading in enumerate(READINGS):
             maps = counts[:, r, n]
@@ -120,9 +120,9 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
                 continue
             figures = {}
             for name in SCORES:
-                one = estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
-                low, high = one.ends
-                figures[name] = {"mean": one.value, "low": low, "high": high}
+                figure = estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
+                low, high = figure.ends
+                figures[name] = {"mean": figure.value, "low": low, "high": high}
             ece = figures.pop("ece")
             bins = [
                 {
@@ -135,21 +135,21 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
                 for b, (voxels, p, o, *_) in enumerate(total.tolist())
                 if voxels
             ]
-            found.setdefault(region, {})[reading] = {
+            by_region.setdefault(region, {})[reading] = {
                 "ece": ece.pop("mean"),
                 **ece,
                 **figures,
                 "bins": bins,
             }
-    return found
+    return by_region
 
 
 def _score(name: str, sums: Floats) -> Floats:
     """One of `SCORES` (k,) of sums (k, BINS * counts): expected calibration errors, or means over
     voxels; NaN of no voxels."""
     counts = sums.reshape(len(sums), BINS, len(COUNTS))
-    voxels, said, occupied = np.moveaxis(counts, -1, 0)[:3]
-    wrong = np.abs(said - occupied) if name == "ece" else counts[:, :, COUNTS.index(name)]
+    voxels, probability, occupied = np.moveaxis(counts, -1, 0)[:3]
+    wrong = np.abs(probability - occupied) if name == "ece" else counts[:, :, COUNTS.index(name)]
     whole = voxels.sum(axis=1)
     return np.where(whole > 0, wrong.sum(axis=1) / np.maximum(whole, 1), np.nan)
 
@@ -168,6 +168,8 @@ def reliability_tables(found: Json) -> list[tuple[Any, ...]]:
                 # the interval of the first, the calibration error, stands beside it
                 summaries = [{**scores, "mean": scores["ece"]}]
                 summaries += [scores[score] for score in SCORES[1:]]
-                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in summaries]
+                cells = [
+                    f"{summary['mean']:.4f} {interval(summary, '.4f')}" for summary in summaries
+                ]
                 rows.append((f"{name}, {region}, {reading}", cells))
     return [("Probabilities", ("ECE", "NLL", "Brier"), rows)] if rows else []

@@ -3,11 +3,12 @@ Markdown and one HTML page for people. The page has no script and fetches nothin
 are shown as text alone."""
 
 import base64
-import html
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,21 @@ from scenegen.files import Json
 from scenegen.model.config import UNITS, Thresholds
 from scenegen.model.evaluation.figures import paired_tests, planning_of, reconstruction_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
-from scenegen.model.evaluation.paper import PAPER, TUNED
 from scenegen.model.evaluation.reliability import reliability, reliability_tables
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import caution, cell, interval, table, with_std
+from scenegen.model.evaluation.statistics import caution, cell, interval, with_std
 from scenegen.model.evaluation.visibility import CLASSES
+from scenegen.model.tables import Table, as_text, page
 
+PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
+"""The paper's Tables I and II, to stand beside ours: by table, kind of worlds, method and metric,
+the mean, and the standard deviation where the paper gives one."""
+TUNED = (
+    "The presets of our worlds were tuned until planning on the true map and on the returns alone "
+    "bracketed the paper's Table II or came near it (docs/results/calibration.md), so agreement "
+    "with that table is in part by construction."
+)
+"""What must stand beside the paper's figures, wherever they are printed."""
 BEST_IOU = "best_iou"
 """A column of the tables."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
@@ -67,19 +77,21 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         }
         parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
         for part, figures_of in parts_of.items():
-            report[part][result.kind] = {name: figures_of(found, result) for name, found in methods}
+            report[part][result.kind] = {
+                name: figures_of(method, result) for name, method in methods
+            }
         report["tests"][result.kind] = paired_tests(result, rng)
         if result.config.reliability:
             report.setdefault("reliability", {})[result.kind] = {
-                name: reliability(np.array(found.probabilities), result.worlds) or None
-                for name, found in methods
+                name: reliability(np.array(method.probabilities), result.worlds) or None
+                for name, method in methods
             }
     return finite(report)
 
 
 def notes(about: Json) -> list[str]:
     """What a reader must know of the figures of one of the report's `datasets`."""
-    return [told for told in (about["note"], caution(about["worlds"])) if told]
+    return [line for line in (about["note"], caution(about["worlds"])) if line]
 
 
 def trial_counts(about: Json) -> str:
@@ -94,9 +106,9 @@ def trial_counts(about: Json) -> str:
 def finite(value: Any) -> Any:
     """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
     if isinstance(value, Mapping):
-        return {name: finite(one) for name, one in value.items()}
+        return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -130,19 +142,6 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     yield "planning, known space marked", metrics, planning, paper
 
 
-class Table(NamedTuple):
-    """A table of the report, as it is shown."""
-
-    title: str
-    heads: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[str]]]
-    """Names and cells."""
-    paper: Sequence[tuple[str, Sequence[str]]] = ()
-    """Rows of the paper's figures."""
-    best: Collection[tuple[str, int]] = ()
-    """The best cells: rows' names and columns."""
-
-
 def blocks(report: Json, kind: str) -> Iterator[str | Table]:
     """What people are shown of one kind: sentences and tables."""
     about = report["datasets"][kind]
@@ -166,8 +165,8 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
             ],
         )
     yield _failures(report["planning"][kind])
-    found = report.get("reliability", {}).get(kind, {})
-    yield from (Table(*table) for table in reliability_tables(found))
+    reliabilities = report.get("reliability", {}).get(kind, {})
+    yield from (Table(*table) for table in reliability_tables(reliabilities))
     by_class = [
         (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
         for method, row in report["reconstruction"][kind].items()
@@ -230,95 +229,31 @@ def to_markdown(report: Json) -> str:
     parts = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
         parts.append(f"## {kind}")
-        for shown in blocks(report, kind):
-            if isinstance(shown, str):
-                parts.append(shown)
-                continue
-            paper = [
-                (f"*{method}*", [text if text == "–" else f"*{text}*" for text in cells])
-                for method, cells in shown.paper
-            ]
-            parts += [f"### {shown.title}", table(shown.heads, [*shown.rows, *paper])]
+        parts += [
+            block if isinstance(block, str) else block.markdown() for block in blocks(report, kind)
+        ]
     return "\n\n".join(parts) + "\n"
-
-
-STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
-  margin: 0 auto; padding: 1rem; max-width: 70rem; }
-h1, h2, h3 { line-height: 1.2; }
-h2 { margin-top: 2.2rem; border-top: 1px solid #d5dae1; padding-top: 1rem; }
-dl { display: grid; grid-template-columns: auto 1fr; gap: 0 1rem; }
-dd { margin: 0; overflow-wrap: anywhere; }
-.wide { overflow-x: auto; margin: .6rem 0; }
-table { border-collapse: collapse; }
-th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; }
-th:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
-thead th { border-bottom: 1px solid #59636e; }
-tbody tr:nth-child(odd), tbody tr:nth-child(odd) th:first-child { background: #f5f7f9; }
-small { color: #59636e; display: block; font-weight: 400; }
-.paper { font-style: italic; }
-.best { font-weight: 700; }
-.charts { display: flex; flex-wrap: wrap; gap: 1rem; }
-figure { margin: 0; flex: 1 1 20rem; max-width: 34rem; }
-figcaption { font-weight: 600; }
-img { width: 100%; height: auto; }
-"""
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-"""
 
 
 def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
     """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
     shows, and a WebP image."""
     about = "".join(
-        f"<dt>{_text(name)}</dt><dd>{_text(value)}</dd>"
+        f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
         for name, value in report.items()
         if isinstance(value, str)
     )
-    body = [f"<h1>Bench</h1><dl>{about}</dl>"]
+    body = [f"<dl>{about}</dl>"]
     for kind in report["datasets"]:
-        body.append(f"<h2>{_text(kind)}</h2>")
-        body += [block(shown) for shown in blocks(report, kind)]
-        body.append(framed(pictures.get(kind, ())))
-    head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
-    return f"{head}<body>{''.join(body)}</body></html>\n"
-
-
-def framed(pictures: Sequence[tuple[str, bytes]]) -> str:
-    """Pictures, WebP, side by side, each below its words."""
-    images = [
-        f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
-        f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-        for told, image in pictures
-    ]
-    return f"<div class='charts'>{''.join(images)}</div>"
-
-
-def block(shown: str | Table) -> str:
-    """A sentence or a table; the spread of a figure stands below it."""
-    if isinstance(shown, str):
-        return f"<p>{_text(shown)}</p>"
-    lines = ""
-    for number, (method, texts) in enumerate((*shown.rows, *shown.paper)):
-        is_paper = number >= len(shown.rows)
-        cells = ""
-        for column, text in enumerate(texts):
-            mean, _, spread = text.partition(" ")
-            is_best = not is_paper and (method, column) in shown.best
-            mark = " class='best'" * is_best
-            cells += f"<td{mark}>{_text(mean)}<small>{_text(spread)}</small></td>"
-        mark = " class='paper'" * is_paper
-        lines += f"<tr{mark}><th>{_text(method)}</th>{cells}</tr>"
-    heads = "".join(f"<th>{_text(head)}</th>" for head in shown.heads)
-    return (
-        f"<h3>{_text(shown.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
-        f"</thead><tbody>{lines}</tbody></table></div>"
-    )
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))
+        body.append(f"<h2>{as_text(kind)}</h2>")
+        body += [
+            f"<p>{as_text(block)}</p>" if isinstance(block, str) else block.html()
+            for block in blocks(report, kind)
+        ]
+        images = [
+            f"<figure><figcaption>{as_text(caption)}</figcaption><img alt='{as_text(caption)}' "
+            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
+            for caption, image in pictures.get(kind, ())
+        ]
+        body.append(f"<div class='charts'>{''.join(images)}</div>")
+    return page("Bench", "".join(body))

@@ -147,10 +147,10 @@ def check_whole(dataset: AnyDataset, instead: str) -> None:
 
 def filled(dataset: AnyDataset, split: str) -> Split:
     """A split of a dataset. Raises DatasetError where it is empty."""
-    found = dataset.split(split)
-    if not len(found):
+    samples = dataset.split(split)
+    if not len(samples):
         raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
-    return found
+    return samples
 
 
 def bench(
@@ -284,7 +284,7 @@ def _bench_samples(
     """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
     `trials_each` planning trials on each."""
     split = dataset.split(rows.split)
-    found = []
+    measured = []
     for index in rows.numbers:
         sample = split[index]
         case = Case(sample, index, split)
@@ -295,8 +295,8 @@ def _bench_samples(
         ]
         known_share = 1.0 if sample.known is None else float(sample.known.mean())
         excluded = Counter(drawn.excluded)
-        found.append(_SampleResult(index, int(sample.world), known_share, excluded, results))
-    return found
+        measured.append(_SampleResult(index, int(sample.world), known_share, excluded, results))
+    return measured
 
 
 def _bench_method(

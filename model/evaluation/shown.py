@@ -31,18 +31,18 @@ def guesses(
     if trial is not None:
         goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
         goal = goals[trial] if len(goals) > trial else None
-    found = []
+    guessed = []
     for method in methods:
         try:
-            said = method.completion(case.sample, split)
+            prediction = method.completion(case.sample, split)
         except KeyError:
             raise DatasetError(f"{method.name} does not predict it") from None
         at = config.thresholds
-        occupied, tudf = said.occupied(at), said.distance(at, case.grid)
-        maps = planner_maps(said, case, config)
+        occupied, tudf = prediction.occupied(at), prediction.distance(at, case.grid)
+        maps = planner_maps(prediction, case, config)
         route = None if goal is None else route_to(goal, *maps, case, config.plan)
-        found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
-    return found
+        guessed.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
+    return guessed
 
 
 def route_to(
@@ -54,19 +54,19 @@ def route_to(
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
     measured = judge(plan, refined, *case.truth, grid)
     lattice = Lattice(grid, config.step_voxels)
-    told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
+    outcome = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:
-        told = CAUSES[measured.cause]
+        outcome = CAUSES[measured.cause]
     return Route(
         start=origin + lattice.centres(lattice.start),
         goal=origin + goal,
         points=None if refined is None else origin + refined,
-        told=told,
+        told=outcome,
         hit=None if measured.hit is None else grid.centres(origin).reshape(-1, 3)[measured.hit],
     )
 
 
-MOST = 3
+MAX_FAILURES = 3
 WIDE = 900
 """Pixels of a picture."""
 
@@ -77,15 +77,15 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
 
     "" and none where no method is learned.
     """
-    learned = {name: found for name, found in result.methods.items() if found.learned}
+    learned = {name: method for name, method in result.methods.items() if method.learned}
     if not learned:
         return "", []
-    name = max(learned, key=lambda one: sum(trial.success for trial in learned[one].trials))
+    name = max(learned, key=lambda learner: sum(trial.success for trial in learned[learner].trials))
     worlds: dict[int, int] = {}
     for n, trial in enumerate(learned[name].trials):
         if trial.hit is not None:
             worlds.setdefault(int(result.trial_worlds[n]), n)
-    return name, list(worlds.values())[:MOST]
+    return name, list(worlds.values())[:MAX_FAILURES]
 
 
 def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
@@ -93,17 +93,17 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     installed."""
     from scenegen.display.figures import draw_paths
 
-    shown = [method for method in methods if method.learned]
+    learned = [method for method in methods if method.learned]
     name, trials = failing(result)
-    found = []
+    pictures = []
     for n in trials:
         index, turn = result.trial_places[n]
-        of_trial = partial(guesses, shown, result.config, turn)
+        of_trial = partial(guesses, learned, result.config, turn)
         look = look_into(result.dataset.split(result.config.split), index, of_trial)
-        told = f"{name} fails: {look.name}, goal {turn}"
+        caption = f"{name} fails: {look.name}, goal {turn}"
         figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
-        found.append((told, _webp(figure)))
-    return found
+        pictures.append((caption, _webp(figure)))
+    return pictures
 
 
 CHARTS = {"reconstruction": ("iou", "near_rmse")}

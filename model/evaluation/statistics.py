@@ -2,7 +2,7 @@
 are left out in turn."""
 
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -149,10 +149,10 @@ def paired_p(
 
 def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
-    given = np.asarray(p_values, float)
-    order = np.argsort(given)
-    stepped = np.maximum.accumulate(given[order] * (len(given) - np.arange(len(given))))
-    corrected = np.empty_like(given)
+    values = np.asarray(p_values, float)
+    order = np.argsort(values)
+    stepped = np.maximum.accumulate(values[order] * (len(values) - np.arange(len(values))))
+    corrected = np.empty_like(values)
     corrected[order] = np.minimum(stepped, 1.0)
     return corrected
 
@@ -160,17 +160,6 @@ def holm(p_values: ArrayLike) -> Floats:
 def _mean(sums: Floats) -> Floats:
     """Means (draws,) of sums and counts (draws, 2)."""
     return sums[:, 0] / sums[:, 1]
-
-
-def line(name: str, cells: Iterable[str]) -> str:
-    """A row: its name and its cells."""
-    return f"| {name} | {' | '.join(cells)} |"
-
-
-def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> str:
-    """A table of rows by name, as Markdown; the column of names has no head."""
-    head = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
-    return "\n".join([*head, *(line(name, cells) for name, cells in rows)])
 
 
 def cell(metric: Json) -> str:

@@ -140,8 +140,8 @@ def seen_occupancy(sample: Sample, split: Split) -> Mask:
 
 def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
     """Those of `solids` whose numbers are among `geoms` (k,)."""
-    kept = np.isin(solids.geom, geoms)
-    plain, meshes = np.split(kept, [len(solids.shape)])
+    chosen = np.isin(solids.geom, geoms)
+    plain, meshes = np.split(chosen, [len(solids.shape)])
     sizes = np.diff(solids.mesh_start)
     arrays = {
         name: getattr(solids, name)[plain]
@@ -153,7 +153,7 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
         triangles=solids.triangles[np.repeat(meshes, sizes)],
         mesh_start=np.cumsum([0, *sizes[meshes]]),
         mesh_filled=solids.mesh_filled[meshes],
-        geom=solids.geom[kept],
+        geom=solids.geom[chosen],
     )
 
 

@@ -86,7 +86,7 @@ def card(name: str, about: Json) -> str:
     settings, figures, command = about["settings"], about["figures"], about["command"]
     network, samples = settings["network"], settings["samples"]
     variant = VARIANTS.get(network["variant"])  # nobody says what a user's own predicts
-    outputs = [what for task, what in GIVES.items() if variant and task in variant.tasks]
+    outputs = [output for task, output in GIVES.items() if variant and task in variant.tasks]
     gives = f" and gives {' and '.join(outputs)}" if outputs else ""
     shares = [f" (weight {share})" for share in settings.get("shares", ())]
     sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")
@@ -97,13 +97,13 @@ def card(name: str, about: Json) -> str:
     versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
     labels = {"loss": "loss"} | {name: metric.label for name, metric in occupancy_first}
-    shown = {
+    columns = {
         label: figures[f"val_{key}"] for key, label in labels.items() if f"val_{key}" in figures
     }
     return f"""# {name}
 
-A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, \
-stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
+A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}. \
+It takes {", ".join(network["inputs"])} of one map{gives}.
 
 | trained | |
 |---|---|
@@ -117,9 +117,9 @@ seed {settings["seed"]}, {settings["precision"]} |
 
 Means over the validation split at the paper's thresholds, whole maps:
 
-| {" | ".join(shown)} |
-{"|---" * len(shown)}|
-| {" | ".join(f"{value:.3f}" for value in shown.values())} |
+| {" | ".join(columns)} |
+{"|---" * len(columns)}|
+| {" | ".join(f"{value:.3f}" for value in columns.values())} |
 
 {_full_protocol(settings, command)}\
 Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \

@@ -166,7 +166,7 @@ class Maps(Dataset):
             maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
             maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
-        return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
+        return {name: torch.from_numpy(turned(values, turn)) for name, values in maps.items()}
 
     def order(self, batch: int) -> Batches | None:
         """The batches of a stream, whose maps come in its own order; None for datasets, which are
@@ -217,10 +217,10 @@ def settings_of(source: Samples) -> list[Sensing]:
 def check_alike(sources: Sequence[Samples]) -> None:
     """Raise DatasetError unless all `sources` have one grid."""
     first = sources[0]
-    for other in sources[1:]:
-        if other.grid != first.grid:
+    for source in sources[1:]:
+        if source.grid != first.grid:
             raise DatasetError(
-                f"{other.name}: its grid is {other.grid}, that of {first.name} is {first.grid}; "
+                f"{source.name}: its grid is {source.grid}, that of {first.name} is {first.grid}; "
                 f"one network takes one grid: train on datasets that share it"
             )
 
@@ -266,23 +266,23 @@ def epoch_batches(
     order = order.astype(np.min_scalar_type(len(maps)))
     turns = views(maps, config, len(order), rng)
     for n in range(first, max(len(order) // batch, 1)):
-        here = slice(n * batch, (n + 1) * batch)
-        yield list(zip(order[here].tolist(), turns[here].tolist(), strict=True))
+        rows = slice(n * batch, (n + 1) * batch)
+        yield list(zip(order[rows].tolist(), turns[rows].tolist(), strict=True))
 
 
 def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
     """The maps of a pass by source. Each source's come in an order of its own, which goes on from
     pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
     source have come."""
-    found = []
+    orders = []
     for number, count in enumerate(maps.counts):
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
             order = rng_of(seed, number, turn, 0).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
-        found.append(maps.starts[number] + np.concatenate(drawn))
-    return found
+        orders.append(maps.starts[number] + np.concatenate(drawn))
+    return orders
 
 
 def load(
@@ -295,17 +295,17 @@ def load(
     # would end them, too, and with them the step that is being made
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
-        found = iter(loader)
+        batches_read = iter(loader)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
-        yield from found
+        yield from batches_read
     except ScenegenError as error:  # a loader process hands over its traceback with it
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     finally:
         # a traceback that holds them would keep this process from ending
-        getattr(found, "_shutdown_workers", lambda: None)()
+        getattr(batches_read, "_shutdown_workers", lambda: None)()
 
 
 @contextmanager

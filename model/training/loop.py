@@ -33,7 +33,6 @@ from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
-    SharedNorm,
     TrainingError,
     autocast,
     choose_device,
@@ -51,7 +50,7 @@ PACKAGES = ("torch", "safetensors")
 
 @dataclass(frozen=True, kw_only=True)
 class Watcher:
-    """Who is told how a run goes, and may end it."""
+    """Callbacks of a run; `stop` may end it."""
 
     on_start: Callable[[int, int, int], None] = lambda epoch, total, done: None
     """Called when an epoch begins, with its number from 0, its maps, and how many of them are
@@ -92,20 +91,17 @@ def train(
     variant = config.network.variant
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
         config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
-    # where nothing is asked for, a run keeps what it was begun with
-    former: Json = {"optimizer": "muon"}
-    if (out / CONFIG).exists():
-        former = RunFolder(out).settings()
-    if config.optimizer == "auto":
-        config = replace(config, optimizer=former.get("optimizer", "adamw"))
-    wanted = former.get("precision", "auto") if config.precision == "auto" else config.precision
-    precision = resolve_precision(wanted, where, maps.grid.shape)
-    group = Group(where, precision)
+    precision = config.precision
+    if precision == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
+        precision = RunFolder(out).settings()["precision"]
+    dtype = resolve_precision(precision, where, maps.grid.shape)
+    group = Group(where, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
+        course = Course(maps, config)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
-        settings = describe(maps, config, precision)
+        settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
         rehearse(network, config, checks, where)
@@ -114,7 +110,6 @@ def train(
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, group)
-        course = Course(maps, config)
         while steps := course.steps(progress):
             begin, done = time.monotonic() - progress.seconds, progress.step
             watcher.on_start(progress.epoch, len(steps) * course.batch, done * course.batch)
@@ -151,10 +146,10 @@ def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progre
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
         return
-    found = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
+    figures = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
     names = "; ".join(maps.name(index) for index, _ in batch) or "that of validation"
     raise TrainingError(
-        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {found}; "
+        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {figures}; "
         f"lower --lr, or look at the batch: {names}"
     )
 
@@ -173,10 +168,8 @@ class Step:
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
         model = self.network
         if self.group.size > 1:
-            if self.group.device.type == "cuda":
+            if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
-            else:
-                SharedNorm.within(model)
             own = is_own(self.config.network.variant)  # and may have weights that it does not use
             model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
@@ -185,8 +178,7 @@ class Step:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
-        Raises TrainingError where memory runs out, which says what would fit, or torch cannot
-        compile.
+        Raises TrainingError where memory runs out, or torch cannot compile.
         """
         for parameters in self.optimizer.param_groups:
             parameters["lr"] = rate
@@ -194,12 +186,13 @@ class Step:
             return self.group.mean(self._learn(batch))
         except (RuntimeError, MemoryError) as error:
             if is_out_of_memory(error):
-                told = self._too_large(batch)
+                maps = len(batch["occupancy"]) * self.group.size
+                message = f"out of memory: a batch of {maps} does not fit; give a smaller --batch"
             elif type(error).__module__.startswith("torch._"):  # what `--compile` calls
-                told = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
+                message = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
             else:
                 raise
-        raise TrainingError(told)
+            raise TrainingError(message) from None
 
     def _learn(self, batch: Batch) -> Scalars:
         batch = {
@@ -214,24 +207,6 @@ class Step:
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
-
-    def _too_large(self, batch: Batch) -> str:
-        """Which batch would fit, found by trying."""
-        processes, maps = self.group.size, len(batch["occupancy"])
-        said = f"out of memory: a batch of {maps * processes} does not fit"
-        if processes > 1:  # trying would wait for the others, who are not trying
-            return f"{said}; give a smaller --batch"
-        fits = maps // 2
-        while fits:
-            try:
-                self.optimizer.zero_grad()
-                if self.group.device.type == "cuda":
-                    torch.cuda.empty_cache()
-                self._learn({name: values[:fits] for name, values in batch.items()})
-                return f"{said}; --batch {fits * processes} does"
-            except (RuntimeError, MemoryError):
-                fits //= 2
-        return f"{said}, nor does one map: use a machine with more memory, or a smaller grid"
 
 
 class Muon(torch.optim.AdamW):
@@ -255,8 +230,8 @@ class Muon(torch.optim.AdamW):
                 state = self.state[filters]
                 if not state:  # "step" is what AdamW looks for when it is copied
                     state.update(step=torch.zeros(()), momentum=torch.zeros_like(filters))
-                kept = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
-                rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
+                momentum = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
+                rows = filters.grad.lerp(momentum, self.MOMENTUM).flatten(1)
                 size = 0.6 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
                 filters.sub_(self._orthogonal(rows).view(filters.shape), alpha=group["lr"] * size)
@@ -279,11 +254,13 @@ def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
     """The optimiser of the configuration; weight decay is for what multiplies features, and for
     vectors only where the configuration says so."""
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
-    for one in network.parameters():
-        groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)
-    given = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
+    for parameter in network.parameters():
+        groups[config.weight_decay if config.decay_all or parameter.ndim > 1 else 0.0].append(
+            parameter
+        )
+    options = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
     kind = torch.optim.AdamW if config.optimizer == "adamw" else Muon
-    return kind(given, lr=config.lr)
+    return kind(options, lr=config.lr)
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:
@@ -345,13 +322,13 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
     output = network.eval()(batch)
     parts = output if isinstance(output, tuple) else (output,)
-    given = [getattr(part, "shape", part) for part in parts]
+    shapes = [getattr(part, "shape", part) for part in parts]
     shape = (1, *maps.grid.shape)
-    wanted = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
-    if given != wanted or (wanted[1] and parts[1].min() < 0):
+    expected = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
+    if shapes != expected or (expected[1] and parts[1].min() < 0):
         raise TrainingError(
-            f"variant {variant}: gives {given!r:.200}, expected {wanted}, by its `tasks`, and no "
-            "negative distance"
+            f"variant {variant}: gives {shapes!r:.200}, expected {expected}, by its `tasks`, and "
+            "no negative distance"
         )
     for name, value in network.state_dict().items():
         if value.dtype not in DTYPES:
@@ -376,10 +353,10 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
 def begin_from(weights: str | Path, network: Any) -> str:
     """Give `network` the weights of another one, and return their file's SHA-256. Raises
     CheckpointError where that is another network."""
-    found = open_network(weights)[0]
-    if found.config != network.config:
-        there, asked = (asdict(one.config) for one in (found, network))
+    source = open_network(weights)[0]
+    if source.config != network.config:
+        there, asked = (asdict(one.config) for one in (source, network))
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
-    network.load_state_dict(found.state_dict())
+    network.load_state_dict(source.state_dict())
     return file_sha256(locate(weights))

@@ -66,8 +66,8 @@ class Flight(gymnasium.Env[Observation, Command]):
         """
         if render_mode is not None:
             raise FlightError(
-                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen fly --film` "
-                "draws flights"
+                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen "
+                "fly world --film` draws flights"
             )
         with raised_as(FlightError, of=DatasetError):
             periods = whole_number(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
@@ -149,7 +149,7 @@ class Flight(gymnasium.Env[Observation, Command]):
 
     def render(self) -> None:
         """Raise FlightError: there are no pictures."""
-        raise FlightError(f"{NAME}: renders nothing; `scenegen fly --film` draws flights")
+        raise FlightError(f"{NAME}: renders nothing; `scenegen fly world --film` draws flights")
 
     def _observed(self) -> Observation:
         """What the robot sees now, within the space."""

@@ -95,7 +95,7 @@ def part_of(entry: Recording) -> Part:
     Raises DatasetError where one is not.
     """
     if entry.suite not in SUITES:
-        raise DatasetError(f"is no entry: expected flights of --suite {SUITES[0]}")
+        raise DatasetError("is no entry: expected flights of `fly suite`")
     track = track_of(entry)
     courses = {named(one): one.document for one in frozen_courses(entry.suite, track)}
     left = courses.copy()

@@ -25,7 +25,7 @@ from benchmarks.paper.claims import (
     waited,
 )
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.paper import PAPER
+from scenegen.model.evaluation.report import PAPER
 
 WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")

@@ -39,7 +39,7 @@ generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze:
 generate  → N samples a second and core
 generate  → everything else
 generate  → --compact: N samples in N s .* N s of proc
-inference → occ +stem 2:  eager +N ms
+inference → occ +:  eager +N ms
 inference → openvino +N ms
 intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
@@ -48,7 +48,7 @@ mutants   → N of 1 killed
 noise     → pillar: scan +datasheet +N ms +N times
 noise     → pillar: attach +clean +N ms +1\.00 times
 noise     → pillar: generate N samples +datasheet +N ms +N times
-networks  → `columns` \| 2 \| N
+networks  → `columns` \| N
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
 peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N

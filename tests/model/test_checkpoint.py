@@ -40,6 +40,13 @@ def test_what_is_saved_comes_back(saved):
         assert torch.equal(one, other)
 
 
+def test_the_stem_stride_that_earlier_versions_wrote_is_read(saved):
+    path, network = saved
+    tensors, header = load_tensors(path)
+    save_tensors(path, tensors, header | {"network": header["network"] | {"stem_stride": 2}})
+    assert load_network(path)[0].config == network.config
+
+
 class Trap:
     """Leaves a file behind when it is unpickled."""
 
@@ -72,6 +79,7 @@ HEADERS = """
 {"network": {"variant": "proposed", "width": "4"}}     → width = '4': expected a whole number
 {"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}} → voxels at most
 {"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}      → do not fit
+{"network": {"variant": "proposed", "stem_stride": 1}} → stem_stride = 1: networks have 2
 {"grid": null}                                     → do not fit
 """
 

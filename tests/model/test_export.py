@@ -79,12 +79,11 @@ def test_threads_get_the_answer_to_their_own_map(exported, runtime):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_what_is_exported_is_the_network(variant):
-    """Heads that read the same features are exported as one."""
+    """As a tuple of what it predicts."""
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
     network.train()(seen(2))  # whose statistics differ from head to head
     maps, traced = seen(2)["observed"], Traced(network).eval()
-    assert (traced.heads is not None) == (variant == "columns")
     with torch.no_grad():
         found, expected = traced(maps), network({"observed": maps})
     for one, other in zip(
@@ -240,8 +239,9 @@ def point_outside(model):
         (fix_the_batch, "cannot run it"),
         (widen, "cannot run it"),
         (rename_outputs, "gives nothing, where"),
-        (loop, "has loops or parts elsewhere"),
-        (point_outside, "has loops or parts elsewhere"),
+        (loop, "has loops, sparse tensors or parts elsewhere"),
+        (point_outside, "has loops, sparse tensors or parts elsewhere"),
+        (add_sparse, "has loops, sparse tensors or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
         (set_header(network={"width": 4, "inputs": ["distance"]}), "its header says distance"),
         (rename_input, "takes observed, f, where its header says observed, free"),
@@ -268,11 +268,10 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
         set_weight(np.nan, "network.columns.down.0.0.weight"),  # OpenVINO's maps stay finite
         set_weight(np.nan, "threshold_cast"),  # and with this, all runtimes'
         set_weight(np.inf, "network.columns.stem.0.weight_bias"),
-        set_weight(np.nan, "heads.split.weight", np.float64),
-        set_weight(np.nan, "heads.split.weight", np.float16),
+        set_weight(np.nan, "network.head.tudf.split.weight", np.float64),
+        set_weight(np.nan, "network.head.tudf.split.weight", np.float16),
         add_node(value_float=np.nan),
         add_node(value_floats=[0.0, np.nan]),
-        add_sparse,
     ],
 )
 def test_no_number_of_an_export_is_nan(exported, tmp_path, change):

@@ -54,7 +54,7 @@ def test_train_complete_and_bench_work_together(here, capsys):
         capsys, "complete data/pillar --weights runs/tuned --quiet"
     )
     with h5py.File("predictions/test-00000.h5") as file:
-        assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
+        assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint", "sha256"}
     named = "bench", "--weights", "my net=runs/proposed", "--weights", "runs/proposed"
     words = "--method returns --predictions predictions --quick --workers 1"
     done(capsys, *named, *words.split())

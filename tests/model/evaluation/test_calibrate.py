@@ -25,7 +25,7 @@ TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 
 @pytest.fixture
 def weights(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "LEAST_WORLDS", 1)
+    monkeypatch.setattr(module, "MIN_WORLDS", 1)
     saved_network(tmp_path / "net.safetensors", dataset.grid, TRAINED)
     return tmp_path / "net.safetensors"
 
@@ -46,7 +46,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     completer = Completer.from_pretrained(sure)
     samples = dataset.split("test")
     said = completer(samples[0].observed)
-    away = predict_split(completer, dataset.folder, "test", tmp_path / "p")
+    away, _ = predict_split(completer, dataset.folder, "test", tmp_path / "p")
     assert away == [completer(one.observed).away for one in samples]
     assert max(away) < 1  # it was calibrated on these
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
@@ -57,6 +57,7 @@ def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
+        del file.attrs["digest"]  # which says that nothing was added
         file["probability"] = np.array([one.occupancy for one in dataset.split("test")], np.float32)
     Predicted(tmp_path / "p").check(dataset, "test")
     words = ("--predictions", tmp_path / "p", "--reliability")
@@ -78,7 +79,7 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
         Completer.from_pretrained(odd)
     with pytest.raises(DatasetError, match="one dataset is given twice"):
         calibrate(weights, [dataset.folder] * 2, tmp_path / "none.safetensors", split="test")
-    monkeypatch.setattr(module, "LEAST_WORLDS", 20)
+    monkeypatch.setattr(module, "MIN_WORLDS", 20)
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
         calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
     assert not (tmp_path / "none.safetensors").exists()

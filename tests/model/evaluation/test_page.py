@@ -10,8 +10,7 @@ from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.paper import PAPER, TUNED
-from scenegen.model.evaluation.report import best, build_report, to_html, to_markdown
+from scenegen.model.evaluation.report import PAPER, TUNED, best, build_report, to_html, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
 from tests.model.evaluation.test_bench import Nothing

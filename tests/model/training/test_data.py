@@ -3,7 +3,6 @@
 import gc
 import multiprocessing
 import shutil
-from functools import partial
 
 import h5py
 import numpy as np
@@ -11,10 +10,8 @@ import pytest
 import torch
 
 from lidarsim import Lidar
-from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES
@@ -22,7 +19,6 @@ from scenegen.model.training.data import (
     Maps,
     epoch_batches,
     load,
-    opened,
     views,
 )
 from scenegen.model.training.loop import origin
@@ -142,14 +138,3 @@ def test_weights_that_are_no_proportion_are_refused(folders, weight):
     with pytest.raises(ScenegenError, match="weight") as error:
         maps_of([(folders[0], weight), folders[1]])
     assert str(folders[0]) in str(error.value)
-
-
-def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path):
-    first = make_dataset(tmp_path / "first")
-    build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
-    for read in (partial(opened, split="train"), train):
-        with pytest.raises(
-            DatasetError, match="hold the same sample; leave one of the two datasets out, or make"
-        ):
-            read([first, tmp_path / "few"])
-    assert len(opened([tmp_path / "few"], "train")) == 1
