@@ -10,13 +10,13 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from scenegen.dataset.trust import parse
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest
+from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.manifest import encode, parse
 from scenegen.dataset.schema import NAME
 from scenegen.errors import RecipeError
-from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
+from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES_IN_SHARD, MOST_SEED
 from scenegen.recipe import make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
@@ -36,20 +36,18 @@ NASTY = [*tomllib.loads(NASTY)["nasty"], None, 1 << 20_000, [1] * 999]
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Looking up versions takes longer than all the rest."""
-    monkeypatch.setattr(manifest, "software", dict)
+    monkeypatch.setattr("scenegen.dataset.build.software", dict)
 
 
 def manifest_of(recipe):
-    """A manifest of no shard, with the greatest numbers besides the recipe that there may be."""
-    given = manifest.parameters(
-        recipe,
-        DrawnWorlds(recipe),
+    """The bytes of a manifest without shards, with the greatest seed that there may be."""
+    plan = plan_dataset(
+        *(Path("d"), recipe, DrawnWorlds(recipe)),
         seed=MOST_SEED,
-        counts=dict.fromkeys(SPLITS, MOST_SAMPLES),
-        compact=False,
+        counts=dict.fromkeys(SPLITS, 0),
         shard_samples=MOST_SAMPLES_IN_SHARD,
     )
-    return json.loads(json.dumps(manifest.assemble(given, [], complete=False)))
+    return encode(plan.manifest)
 
 
 def random_tables(chance, recipe):
@@ -86,11 +84,11 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        checked = parse(found, Path())
+        checked = parse(found)
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
-            (tmp_path / NAME).write_text(json.dumps(found))
+            (tmp_path / NAME).write_bytes(found)
             contract = read_contract(tmp_path, Ledger())
             assert contract.recipe == recipe
         outcome["made"] += 1
@@ -119,7 +117,7 @@ def test_whole_numbers_and_floats_make_the_same_dataset():
         grid = {"voxel_m": exact(1), "shape": [whole(8)] * 3}
         world, flight = {"density": [exact(0), exact(1)]}, {"viewpoints": whole(2)}
         tables = {"grid": grid, "world": world, "flight": flight}
-        return json.dumps(manifest_of(make_recipe("pillar", tables, where="test")))
+        return manifest_of(make_recipe("pillar", tables, where="test"))
 
     assert found(int, float) == found(float, int)
 
@@ -156,7 +154,7 @@ def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
 def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     hard = preset("pillar", difficulty="hard")
     named = dataclasses.replace(hard, difficulty="very-hard")  # as a user's own kind may have it
-    assert parse(manifest_of(named), Path()).graded == "pillar-very-hard"
+    assert parse(manifest_of(named)).graded == "pillar-very-hard"
     path = tmp_path / "r.toml"
     path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')
     assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)

@@ -52,8 +52,8 @@ def test_a_folder_is_split_by_world_and_visited_in_turn(folder, tmp_path):
     assert Counter(world for _, world, _ in names) == {0: 9, 1: 6, 2: 6}
     assert [viewpoint for _, world, viewpoint in names if world == 0] == list(range(9))
     assert len(set(names)) == len(names)
-    recorded = dataset.manifest.tables["scenes"]["train"]
-    assert [entry["file"] for entry in recorded] == named["train"]
+    recorded = dataset.manifest.scenes["train"]
+    assert [entry.file for entry in recorded] == named["train"]
 
 
 def test_fewer_samples_of_a_folder_are_the_first_of_more(folder, tmp_path):
@@ -78,7 +78,7 @@ def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path):
 def test_a_changed_scene_is_another_dataset(folder, tmp_path):
     make(folder, tmp_path / "d")
     (folder / "room3.xml").write_text(ROOM.format(n=11))
-    with pytest.raises(DatasetError, match=r"recipe\.scenes"):
+    with pytest.raises(DatasetError, match=r"scenes\.train\.\d\.sha256"):
         make(folder, tmp_path / "d")
 
 

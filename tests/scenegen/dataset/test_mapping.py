@@ -7,16 +7,14 @@ import h5py
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.share.regenerate import check_source, source_file
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
-from scenegen.dataset import manifest
-from scenegen.dataset.build import build
+from scenegen.dataset.like import scan_again
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.recipe_file import recipe_text
 from scenegen.draw import UnitKey
-from scenegen.errors import DatasetError, GenerationError, RecipeError
+from scenegen.errors import DatasetError, RecipeError
 from scenegen.recipe import make_recipe, read_recipe
 from scenegen.truth import rasterize
 from scenegen.verification import verify
@@ -53,9 +51,6 @@ def several(tmp_path_factory):
 
 
 def test_more_scans_show_more_of_the_same_maps(made, several):
-    plain, found = manifest.read(made), manifest.read(several)
-    assert (plain["version"], found["version"]) == (1, 1.3)
-    assert ("mapping" in plain, found["mapping"]["scans"]) == (False, 4)
     more = 0
     both = (Dataset(folder).split("train") for folder in (made, several))
     for one, other in zip(*both, strict=True):
@@ -124,36 +119,9 @@ def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
         assert len({each.tobytes() for each in drawn}) == 3
 
 
-def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fewer(
-    made, several, tmp_path
-):
-    dataset = Dataset(several)
-    same = build(plan_rescan(dataset, tmp_path / "same"))
-    assert same.digest == dataset.manifest.digest
-    one = build(plan_rescan(dataset, tmp_path / "one", mapping={"scans": 1}))
-    assert one.digest == Dataset(made).manifest.digest
-    fewer = plan_rescan(dataset, tmp_path / "fewer", mapping={"scans": 2, "fusion": "log-odds"})
-    recipe = recipe_with(scans=2, scan_spacing_m=0.7, fusion="log-odds")
-    drawn = made_with(tmp_path / "drawn", recipe, counts=COUNTS)
-    assert build(fewer).digest == drawn.manifest.digest
-    ahead = {"map_ahead_m": (1.0, 0.0, 0.0)}
-    build(plan_rescan(Dataset(made), tmp_path / "ahead", mapping=ahead))
-    assert not failed(fewer.folder) | failed(tmp_path / "ahead")
-
-
-def test_scanned_again_with_more_scans_the_flight_is_flown_again(made, several, tmp_path):
-    more = plan_rescan(Dataset(made), tmp_path / "more", mapping=SEVERAL)
-    assert build(more).digest == Dataset(several).manifest.digest
-    moved = forge.copy(made, tmp_path / "moved")
-    forge.edit(moved, "train-00000.h5", lambda arrays: np.add.at(arrays["position"], 1, 1e-9))
-    with pytest.raises(GenerationError, match="train flight 0 comes out otherwise here"):
-        build(plan_rescan(Dataset(moved), tmp_path / "no", mapping={"scans": 2}))
-    assert not (tmp_path / "no").exists()
-
-
 def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path):
     recipe = recipe_with(**SEVERAL)
-    labelled = dataclasses.replace(recipe, labels=labels_by("name", ()))
+    labelled = dataclasses.replace(recipe, parts={"labels": labels_by("name", ())})
     unit, plain = (drawn_unit(each).samples[1] for each in (labelled, recipe))
     assert_array_equal(unit.return_geom >= 0, np.isfinite(unit.ranges))
     assert unit.sha256() != plain.sha256()
@@ -202,14 +170,12 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
 
 
 WRONG = """
-version             → 1                → version = 1: expected 1.3 with mapping
-mapping             → null             → version = 1.3: expected 1 with nothing of a minor version
-mapping             → {"scans": 4}     → mapping.fusion is missing
-mapping.scans       → 1                → mapping: expected exactly where `fields` names those of
-mapping.scans       → 5                → earlier_ranges is float32
-mapping.hit         → 0.1              → mapping.hit = 0.1: expected
-mapping.odd         → 1                → mapping: unknown parameter 'odd'
-mapping.map_ahead_m → [99.0, 0.0, 0.0] → lies beyond the sensor's range
+recipe.mapping             → {}               → fields =
+recipe.mapping.scans       → 1                → fields =
+recipe.mapping.scans       → 5                → earlier_ranges is float32
+recipe.mapping.hit         → 0.1              → recipe.mapping.hit = 0.1: expected
+recipe.mapping.odd         → 1                → recipe.mapping: unknown parameter 'odd'
+recipe.mapping.map_ahead_m → [99.0, 0.0, 0.0] → lies beyond the sensor's range
 """
 
 
@@ -226,12 +192,11 @@ def test_too_many_rays_are_refused():
         make_recipe("pillar", tables, where="test")
 
 
-def test_a_recipe_says_it_and_is_published(several, tmp_path):
-    dataset, path = Dataset(several), tmp_path / "my.toml"
-    name, text = source_file(dataset.manifest)
-    path.write_text(text)
-    assert read_recipe(path).mapping == dataset.manifest.mapping == Mapper(**SEVERAL)
-    check_source(dataset, name, text)
+def test_a_recipe_file_says_how_maps_are_made(several, tmp_path):
+    path, manifest = tmp_path / "my.toml", Dataset(several).manifest
+    path.write_text(recipe_text(manifest.tables, "mine"))
+    assert read_recipe(path) == manifest.recipe
+    assert manifest.mapping == Mapper(**SEVERAL)
     with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans is given beside it"):
         read_recipe(path, mapping={"scans": 2})
 
@@ -243,9 +208,6 @@ def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small,
     mapping = Dataset(tmp_path / "d").manifest.mapping
     expected = {"scans": 3, "scan_spacing_m": 0.2, "fusion": "log-odds", "tilt_mps": 2.0}
     assert mapping == Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
-    done(capsys, f"rescan {tmp_path}/d --fusion visibility -o {tmp_path}/e --quiet")
-    again = Dataset(tmp_path / "e").manifest.mapping
-    assert again == dataclasses.replace(mapping, fusion="visibility")
     for option in ("--scans 0", "--map-ahead 99,0,0"):
         refused(capsys, f"{command} {option} --force")
         assert Dataset(tmp_path / "d").manifest.mapping == mapping  # what was there is not lost

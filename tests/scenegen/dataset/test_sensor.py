@@ -11,13 +11,13 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
-from scenegen.share.regenerate import check_source, source_file
 
 from lidarsim import BeamTable, Lidar
-from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.errors import BrokenError, DatasetError, PublishError
+from scenegen.dataset.recipe_file import recipe_text
+from scenegen.dataset.sensor_file import RAYS, sensor_entry, sensor_of, write_rays
+from scenegen.errors import BrokenError, DatasetError
+from scenegen.tables import read_toml
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
@@ -61,10 +61,7 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
         Dataset(tmp_path)
     assert build_with(tmp_path, table).lidar == table
     raster = Lidar(rows=8, columns=24)
-    forge.edit_manifest(tmp_path, shards=None)  # damaged
     assert build_with(tmp_path, raster, force=True).lidar == raster
-    found = manifest.read(tmp_path)
-    assert (found["lidar"], "engine" in found) == (dataclasses.asdict(raster), False)
     assert not (tmp_path / RAYS).exists()
 
 
@@ -89,7 +86,7 @@ HEADER = (
         (HEADER + b"\n" + bytes(160), "no .npy file of numbers"),
         (npy(UNIT.astype("f4")), "of float32"),
         (npy(np.array([print], object)), "Object arrays cannot be loaded"),
-        (npy(UNIT[:4]), "has shape (4, 4) of float64, the manifest's lidar names (5, 4)"),
+        (npy(UNIT[:4]), "has shape (4, 4) of float64, expected (5, 4)"),
         (npy(np.full((5, 4), np.nan)), "a ray's direction has length nan"),
         (npy(2.0 * UNIT), "a ray's direction has length 2"),
         (npy(UNIT - [0, 0, 0, 1.0]), "a ray's time is negative"),
@@ -103,42 +100,56 @@ def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
 
 
 WRONG = """
-sha256      → "0000"               → lidar.sha256
-sensor      → "antigravity:Flight" → lidar.sensor = 'antigravity:Flight': expected table
-rays        → "../../etc/passwd"   → lidar.rays = '../../etc/passwd'
-shape       → [1000000, 1000000]   → 1000000 rays at most
-max_range_m → NaN                  → max_range_m = nan
-made_by     → "two\\nlines"         → made_by
-rows        → 16                   → lidar: unknown parameter 'rows'
+sha256      → "0000"
+sha256      → 0
+sensor      → "antigravity:Flight"
+rays        → "../../etc/passwd"
+shape       → [1000000, 1000000]
+shape       → []
+max_range_m → NaN
+made_by     → "two\\nlines"
+rows        → 16
 """
 
 
-def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path):
+@pytest.mark.parametrize(("name", "value"), rows(WRONG))
+def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     table = BeamTable(rays=UNIT)
-    write_rays([table], tmp_path)
+    write_rays(table, tmp_path)
     entry = sensor_entry(table)
     assert sensor_of(entry, tmp_path) == table
-    for name, value, told in rows(WRONG):
-        with pytest.raises(BrokenError, match=told):
-            sensor_of(read_sensor(entry | {name: json.loads(value)}, {}), tmp_path)
-    with pytest.raises(BrokenError, match=r"rays.npy: is not the file whose sha256 the manifest's"):
-        sensor_of(read_sensor(entry | {"sha256": "0" * 64}, {}), tmp_path)
+    with pytest.raises(BrokenError) as error:
+        sensor_of(entry | {name: json.loads(value)}, tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_table_that_is_not_the_manifests_is_refused(tmp_path):
+    write_rays(BeamTable(rays=-UNIT), tmp_path)
+    with pytest.raises(BrokenError, match=r"rays\.npy: is not the file whose sha256"):
+        sensor_of(sensor_entry(BeamTable(rays=UNIT)), tmp_path)
 
 
 def test_no_reader_imports_what_a_manifest_names(made, trap):
-    folder = forge.edit_at(forge.copy(made, trap / "data"), "lidar.sensor", '"trap:Sensor"')
-    with pytest.raises(DatasetError, match=r"lidar\.sensor = 'trap:Sensor'"):
+    folder = forge.edit_at(forge.copy(made, trap / "data"), "recipe.lidar.sensor", '"trap:Sensor"')
+    with pytest.raises(DatasetError, match=r"recipe\.lidar"):
         Dataset(folder)
-    assert not verify(folder).ok
+    with pytest.raises(DatasetError):
+        Dataset(folder).manifest.recipe  # noqa: B018
 
 
-def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(table, trap):
-    lidar = dataclasses.replace(table, made_by="''' #")
-    dataset = build_with(trap / "data", lidar)
-    check_source(dataset, *source_file(dataset.manifest))
-    dataset.manifest.tables["accept"]["y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"] = 1
-    with pytest.raises(PublishError, match="would not make the same dataset"):
-        check_source(dataset, *source_file(dataset.manifest))
+ODD = "y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"
+
+
+def test_no_text_of_a_manifest_adds_a_line_to_its_recipe_file(table, trap):
+    """A sensor that one names would be imported."""
+    made_by = "''' #"
+    dataset = build_with(trap / "data", dataclasses.replace(table, made_by=made_by))
+    tables = dataset.manifest.tables
+    tables.accept[ODD] = 1
+    (trap / "data" / "r.toml").write_text(recipe_text(tables, "it"))
+    read = read_toml(trap / "data" / "r.toml")
+    assert (read["lidar"]["sensor"], read["lidar"]["made_by"]) == ("table", made_by)
+    assert read["accept"][ODD] == 1
 
 
 def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):

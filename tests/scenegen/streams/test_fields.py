@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader
 import scenegen
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.parts.normals import Normals
 from scenegen.sample import FIELDS, GROUPS
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
@@ -41,8 +42,12 @@ EXAMPLES = {
     "earlier": lambda folder: drawn(small_recipe("geometric", mapping=SEVERAL)),
     "labels": lambda folder: drawn(
         dataclasses.replace(
-            small_recipe("warehouse", mapping={"scans": 2}), labels=labels_by("class", ())
+            small_recipe("warehouse", mapping={"scans": 2}),
+            parts={"labels": labels_by("class", ())},
         )
+    ),
+    "normals": lambda folder: drawn(
+        dataclasses.replace(small_recipe(), parts={"normals": Normals()})
     ),
     "known": of_a_map,
 }

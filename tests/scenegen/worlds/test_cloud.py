@@ -237,7 +237,8 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
     recipe.write_text(RECIPE)
     given, said = {"scene": cloud, "recipe": recipe, "out": tmp_path / "data"}, []
     for _ in range(2):  # the second time, nothing is left to do
-        summary = build(plan_generation(None, 4, **given, tell=said.append), workers=1)
+        (plan,) = plan_generation(None, 4, **given, report=said.append).datasets
+        summary = build(plan, workers=1)
     assert summary.samples_written == 0
     assert f"{len(every)} points become voxels of 0.2 m" in said[0]
     assert not failed(tmp_path / "data")

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 import scenegen
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
-from scenegen.dataset import manifest
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import Guess, look_into
@@ -97,7 +96,9 @@ def dataset(tmp_path_factory):
 
 def planned(folder, out, **more):
     recipe = folder / "recipe.toml"
-    return plan_generation(None, 20, val=5, test=5, scene=folder, recipe=recipe, out=out, **more)
+    counts = {"n": 20, "val": 5, "test": 5}
+    (plan,) = plan_generation(scene=folder, recipe=recipe, out=out, **counts, **more).datasets
+    return plan
 
 
 def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place, rng):
@@ -155,8 +156,8 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
 @pytest.mark.parametrize("name", ["least_share", "most_marked_share"])
 def test_a_viewpoint_of_which_too_little_is_known_is_caught(dataset, tmp_path, name):
     folder = forge.copy(dataset, tmp_path / "d")
-    known = dict.fromkeys([name], 0.99 if name == "least_share" else 0.0)
-    forge.sign(folder, known=manifest.read(folder)["known"] | known)
+    forge.edit_at(folder, f"recipe.known.{name}", "0.99" if name == "least_share" else "0.0")
+    forge.sign(folder)
     (told,) = failed(folder, quick=True).items()
     assert (told[0], f"known.{name} = 1" in told[1] or "0.99" in told[1]) == ("accepted", True)
 
@@ -173,11 +174,9 @@ def test_what_is_occupied_and_not_known_is_caught(dataset, tmp_path):
 
 
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
-    """Its recipe says how much must be known, and makes the same parameters again."""
     out = tmp_path / "out"
     staged = stage(Request(dataset=dataset, repository="ada/hall", out=out), ())
     assert staged.digest == str(Dataset(dataset).manifest.digest)
-    assert "[known]" in (out / "recipe.toml").read_text()
     assert "places or people, only their publisher can say" in (out / "README.md").read_text()
 
 
@@ -208,8 +207,9 @@ def test_of_a_map_more_flights_are_drawn_where_nobody_says_how_many(dataset, tmp
     recipe = tmp_path / "r.toml"
     for asked, draws in (("", 500), (few, 60), (long, 50)):
         recipe.write_text(RECIPE + asked)
-        plan = plan_generation(None, 1, scene=dataset.parent, recipe=recipe, out=tmp_path / "d")
-        assert plan.parameters["recipe"]["accept"]["max_draws"] == draws
+        asked = {"scene": dataset.parent, "recipe": recipe, "out": tmp_path / "d"}
+        (plan,) = plan_generation(None, 1, **asked).datasets
+        assert plan.manifest.tables.accept["max_draws"] == draws
 
 
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
@@ -300,7 +300,7 @@ def test_pages_and_pictures_score_known_voxels_as_the_bench_does(dataset):
     for name, mask in (("scored", known), ("certain", certain)):
         bits = np.unpackbits(np.frombuffer(unpacked(data[name]), np.uint8))[: mask.size]
         assert (bits.reshape(mask.shape) == mask).all()
-    scored = scored_voxels(sample, grid, split.home(index).tables)
+    scored = scored_voxels(sample, grid, split.home(index).tables.world)
     measured = measure(
         occupied, sample.tudf, truth, sample.tudf,
         classes=np.where(scored, np.uint8(0), np.uint8(255)), class_count=1,
@@ -335,7 +335,8 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
 
 def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys):
     words = f"generate --scene {dataset.parent}/hall-0.npz -o {tmp_path}/no"
-    assert "has no solids" in refused(capsys, f"{words} --labels class")
+    for part in ("--labels class", "--normals"):
+        assert "has no geoms" in refused(capsys, f"{words} {part}")
     assert "no engine but its own" in refused(capsys, f"{words} --engine mujoco")
     assert not (tmp_path / "no").exists()
 
