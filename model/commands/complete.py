@@ -135,7 +135,8 @@ def complete(
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, shown=not quiet)
-    stored = (path / NAME).exists() or (path / COLLECTION).exists() or path.suffix == ".json"
+    stored = path.suffix == ".json" or (path / COLLECTION).exists()
+    stored = stored or (path / NAME).exists() or any(path.glob(f"*/{NAME}"))
     if execute is not None and path.exists() and not stored:
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
