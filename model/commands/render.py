@@ -21,7 +21,7 @@ from scenegen.cli.show import note, say
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
 from scenegen.errors import short
 from scenegen.model.commands.weights import chosen, shown_options
-from scenegen.paths import function_for, type_of
+from scenegen.paths import DATA, function_for, type_of
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
