@@ -22,9 +22,9 @@ from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
-from scenegen.dataset.manifest import mapping_entry
 from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Split
+from scenegen.dataset.recipe_file import mapping_entry
 from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
 from scenegen.files import Json, real_path

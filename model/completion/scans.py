@@ -19,7 +19,7 @@ from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
 from scenegen.clouds.npz import read_npz
-from scenegen.display.exchange.files import encode_points
+from scenegen.clouds.write import encode_points
 from scenegen.display.look import Guess, Look
 from scenegen.errors import DatasetError, plural, raised_as
 from scenegen.files import check_ours, make_way, read_bounded, write_whole

@@ -17,8 +17,8 @@ from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.manifest import mapping_entry
 from scenegen.dataset.parameters import differences
+from scenegen.dataset.recipe_file import mapping_entry
 from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
 from scenegen.files import Json

@@ -193,8 +193,8 @@ def scan(
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if type_of(world) in ("map", "scan", "plan") and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
+    from scenegen.clouds.write import SUFFIXES
     from scenegen.dataset.shard import find_engine
-    from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.source import named_world
     from scenegen.tables import named_lidar, named_noise
@@ -264,7 +264,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
 
     from lidarsim import cast
     from lidarsim.scan import is_return, mounted
-    from scenegen.display.exchange.files import write_points
+    from scenegen.clouds.write import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place

@@ -14,9 +14,10 @@ from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
-from scenegen.dataset.manifest import Manifest, mapping_entry, noise_entry, schema_of
+from scenegen.dataset.manifest import Manifest, schema_of
 from scenegen.dataset.parameters import plain
 from scenegen.dataset.placed import write_shard
+from scenegen.dataset.recipe_file import mapping_entry, noise_entry
 from scenegen.dataset.schema import RecipeEntry, SceneEntry
 from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine

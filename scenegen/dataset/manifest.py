@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -21,16 +21,17 @@ from msgspec import Struct
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.noise import STAGES
-from lidarsim.noise import VERSION as NOISE_VERSION
 from scenegen import SPLITS, __version__
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.parameters import configured, plain
+from scenegen.dataset.parameters import configured
+from scenegen.dataset.recipe_file import noise_entry
 from scenegen.dataset.schema import (
     FORMAT,
     NAME,
     VERSION,
     Document,
     NoiseEntry,
+    Numbering,
     ShardEntry,
     to_json,
 )
@@ -59,36 +60,11 @@ from scenegen.stores import ConflictError, Place, Store, read_at
 from scenegen.worlds.mapping import Known, Mapper, Sensing
 
 if TYPE_CHECKING:  # which import what draws worlds
-    from lidarsim.noise.chain import Noise
     from scenegen.recipe import Recipe
 
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters, which are known before anything is
 drawn."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Numbering:
-    """How the samples of a split are numbered: docs/format.md. A place may be one number, or an
-    array of them."""
-
-    viewpoints: int
-    """Samples of one flight."""
-    scenes: int | None
-    """Worlds from files, which flights visit in turn; None where each flight has a world of its
-    own."""
-
-    def name(self, place: Any) -> tuple[Any, Any]:
-        """(world, viewpoint) of the sample at `place` in its split."""
-        unit, view = place // self.viewpoints, place % self.viewpoints
-        if self.scenes is None:
-            return unit, view
-        return unit % self.scenes, unit // self.scenes * self.viewpoints + view
-
-    def count(self, samples: int) -> int:
-        """How many worlds the first so many samples are of."""
-        units = -(-samples // self.viewpoints)
-        return units if self.scenes is None else min(units, self.scenes)
 
 
 class Manifest(Document, frozen=True, dict=True, kw_only=True):
@@ -298,26 +274,6 @@ def schema_of(described: "Recipe | Manifest") -> Schema:
         groups=groups_of(described),
         scans=described.mapping.scans,
     )
-
-
-def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
-    """What a manifest says of noise on a sensor of that range; None without stages. Raises
-    BrokenError for noise that no manifest can hold."""
-    if not noise.stages:
-        return None
-    bound_m = noise.bound_m(max_range_m)
-    entry = {
-        "stages": noise.spelled(),
-        "bound_m": bound_m if math.isfinite(bound_m) else None,
-        "version": NOISE_VERSION,
-    }
-    with raised_as(BrokenError, "recipe.noise: "):
-        return msgspec.convert(entry, NoiseEntry)
-
-
-def mapping_entry(mapping: Mapper) -> Json:
-    """Every parameter of how maps are made; those of the default for what is the same."""
-    return plain(asdict(Mapper() if mapping.plain else mapping))
 
 
 def encode(manifest: Document) -> bytes:

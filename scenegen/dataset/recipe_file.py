@@ -1,12 +1,23 @@
 """A recipe as a TOML file, every parameter with its value."""
 
 import json
+import math
 import re
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
-from scenegen.dataset.schema import RecipeEntry
+import msgspec
+
+from lidarsim.noise import VERSION as NOISE_VERSION
+from scenegen.dataset.parameters import plain
+from scenegen.dataset.schema import NoiseEntry, RecipeEntry
 from scenegen.dataset.sensor_file import RAYS
+from scenegen.errors import BrokenError, raised_as
 from scenegen.files import Json
+from scenegen.worlds.mapping import Mapper
+
+if TYPE_CHECKING:
+    from lidarsim.noise.chain import Noise
 
 
 def recipe_text(recipe: RecipeEntry, title: str) -> str:
@@ -45,3 +56,23 @@ def _toml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
+    """What a manifest says of noise on a sensor of that range; None without stages. Raises
+    BrokenError for noise that no manifest can hold."""
+    if not noise.stages:
+        return None
+    bound_m = noise.bound_m(max_range_m)
+    entry = {
+        "stages": noise.spelled(),
+        "bound_m": bound_m if math.isfinite(bound_m) else None,
+        "version": NOISE_VERSION,
+    }
+    with raised_as(BrokenError, "recipe.noise: "):
+        return msgspec.convert(entry, NoiseEntry)
+
+
+def mapping_entry(mapping: Mapper) -> Json:
+    """Every parameter of how maps are made; those of the default for what is the same."""
+    return plain(asdict(Mapper() if mapping.plain else mapping))

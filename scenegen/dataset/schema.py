@@ -1,7 +1,8 @@
 """What stands in `dataset.json`: the schema of the file, and nothing else."""
 
 import re
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
@@ -152,3 +153,27 @@ def to_json(manifest: Document) -> Json:
         item.encode_name: msgspec.to_builtins(getattr(manifest, item.name))
         for item in msgspec.structs.fields(Document)
     }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbering:
+    """How the samples of a split are numbered: docs/format.md. A place may be one number, or an
+    array of them."""
+
+    viewpoints: int
+    """Samples of one flight."""
+    scenes: int | None
+    """Worlds from files, which flights visit in turn; None where each flight has a world of its
+    own."""
+
+    def name(self, place: Any) -> tuple[Any, Any]:
+        """(world, viewpoint) of the sample at `place` in its split."""
+        unit, view = place // self.viewpoints, place % self.viewpoints
+        if self.scenes is None:
+            return unit, view
+        return unit % self.scenes, unit // self.scenes * self.viewpoints + view
+
+    def count(self, samples: int) -> int:
+        """How many worlds the first so many samples are of."""
+        units = -(-samples // self.viewpoints)
+        return units if self.scenes is None else min(units, self.scenes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
-from scenegen.display.exchange.files import encode_points
+from scenegen.clouds.write import encode_points
 from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
 from scenegen.logs.messages import (

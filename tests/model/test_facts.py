@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import scenegen
-from scenegen.display.exchange.files import write_points
+from scenegen.clouds.write import write_points
 from scenegen.errors import DatasetError
 from tests.command_line import done, refused, run
 from tests.scenegen.display.test_page import Seen

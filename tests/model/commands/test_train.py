@@ -15,8 +15,8 @@ import torch
 from lidarsim.grid import iou
 from scenegen import __main__ as cli
 from scenegen.cli import stops
+from scenegen.clouds.write import write_points
 from scenegen.dataset.read import Dataset
-from scenegen.display.exchange.files import write_points
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig

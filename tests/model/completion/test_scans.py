@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec, Pose
 from lidarsim.pose import rotate
-from scenegen.display.exchange.files import write_points
+from scenegen.clouds.write import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
 from scenegen.worlds.place import FREE

@@ -10,7 +10,7 @@ import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.clouds import read_cloud, scans_in
-from scenegen.display.exchange.files import write_points
+from scenegen.clouds.write import write_points
 from scenegen.errors import DatasetError
 from tests.command_line import rows
 

@@ -16,7 +16,7 @@ import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import MID_360
-from scenegen.display.exchange.files import write_points
+from scenegen.clouds.write import write_points
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, _of_cloud

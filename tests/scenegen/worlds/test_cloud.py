@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.pose import rotate
+from scenegen.clouds.write import write_points
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
-from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.glb import encode_world
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_world
