@@ -9,7 +9,6 @@ import errno
 import hashlib
 import os
 import re
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import lru_cache
@@ -39,8 +38,8 @@ half a minute."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
 """Refusals of this machine's disk."""
 READS = 4
-"""How often a file is asked for whose content is cut off."""
-CONNECT_S, READ_S = 5, 60
+"""How often s3fs asks for a file whose content is cut off."""
+CONNECT_S, READ_S = 5, 30
 """Seconds after which a silent server counts as one that does not answer."""
 AGAIN = "what is finished is kept: give the same command again to go on"
 CONFLICT = (
@@ -66,10 +65,6 @@ FAULTS = {
 }
 """Advice by an answer's status and code, or by the name of an exception's class; the first that
 fits counts."""
-FINAL = re.compile(
-    r"\d+ .*|PermissionError|.*(Connect|Timeout|Credential|Token|Profile|SSO|Login).*"
-)
-"""Failures that are not tried again: answers, and what botocore itself has tried again."""
 
 
 class ConflictError(StoreError):
@@ -127,7 +122,7 @@ class Store:
             }
 
         try:
-            return self._ask("", find, READS)
+            return self._ask("", find)
         except FileNotFoundError:
             return {}
 
@@ -141,7 +136,7 @@ class Store:
                 return file.read(max_bytes + 1), details.get("ETag")
 
         self._versions.pop(name, None)
-        content, version = self._ask(name, read, READS)
+        content, version = self._ask(name, read)
         if len(content) > max_bytes:
             raise DatasetError(f"{self}/{name}: more than {max_bytes} bytes")
         self._versions[name] = version
@@ -155,7 +150,7 @@ class Store:
                 raise NotADirectoryError(errno.ENOTDIR, f"{path.parent} is gone")
             system.get_file(there, str(path))
 
-        self._ask(name, get, READS)
+        self._ask(name, get)
 
     def create(self, name: str, content: bytes) -> None:
         """Put an object where there is none, or where one with the same content is. Raises
@@ -209,32 +204,28 @@ class Store:
                 f"{self}: is for reading alone; write to a folder, or to s3://bucket/folder"
             )
 
-    def _ask(self, name: str, ask: Callable[[Any, str], Any], attempts: int = 1) -> Any:
+    def _ask(self, name: str, ask: Callable[[Any, str], Any]) -> Any:
         """Return what `ask` gets from the file system about the object `name`."""
         system, home = _connect(self.url, os.getpid())
-        for attempt in range(1, attempts + 1):
-            try:
-                return ask(system, f"{home}/{name}".rstrip("/"))
-            except ScenegenError:
-                raise
-            except Exception as error:  # each file system has its own
-                code = _code_of(error)
-                if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in code:
-                    raise FileNotFoundError(f"{self}/{name}") from None
-                if isinstance(error, OSError) and error.errno in DISK_ERRORS and code[0].isalpha():
-                    raise StoreError(
-                        f"{self}/{name}: cannot be copied to this machine ({error.strerror}); free "
-                        "some space, or name another folder by SCENEGEN_CACHE or TMPDIR"
-                    ) from None
-            if attempt == attempts or FINAL.fullmatch(code):
-                # nothing that a server says is repeated but its code: it may repeat what it was
-                # sent, and that holds a signature
-                advice = next(it for like, it in FAULTS.items() if re.fullmatch(like, code))
-                kind = ConflictError if advice is CONFLICT else StoreError
-                reason, _, rest = advice.partition(";")
-                raise kind(f"{self}/{name}".rstrip("/") + f": {reason} ({code});{rest}")
-            time.sleep(2**attempt / 20)
-        raise AssertionError
+        try:
+            return ask(system, f"{home}/{name}".rstrip("/"))
+        except ScenegenError:
+            raise
+        except Exception as error:  # each file system has its own
+            code, where = _code_of(error), f"{self}/{name}".rstrip("/")
+            if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in code:
+                raise FileNotFoundError(where) from None
+            if isinstance(error, OSError) and error.errno in DISK_ERRORS and code[0].isalpha():
+                raise StoreError(
+                    f"{where}: cannot be copied to this machine ({error.strerror}); free some "
+                    "space, or name another folder by SCENEGEN_CACHE or TMPDIR"
+                ) from None
+        # nothing that a server says is repeated but its code: it may repeat what it was sent, and
+        # that holds a signature
+        advice = next(it for like, it in FAULTS.items() if re.fullmatch(like, code))
+        reason, _, rest = advice.partition(";")
+        kind = ConflictError if advice is CONFLICT else StoreError
+        raise kind(f"{where}: {reason} ({code});{rest}")
 
 
 def _code_of(error: Exception) -> str:
@@ -275,7 +266,7 @@ def _connect(url: str, process: int) -> tuple[Any, str]:
             f"{url}: fsspec has nothing here that reads it ({type(error).__name__}); give a "
             "folder, hf://user/name or s3://bucket/folder"
         ) from None
-    system.retries = 1  # botocore tries again, and so does `_ask`
+    system.retries = READS
     return system, path
 
 
