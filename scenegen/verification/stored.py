@@ -210,7 +210,7 @@ CHECKS = (
     Check(name="names", quick=True, sample=_numbered),
     Check(name="centred", quick=True, sample=_centred),
     Check(name="laws", quick=True, sample=_lawful),
-    Check(name="part laws", quick=True, part=True, sample=_part_laws),
+    Check(name="part-laws", quick=True, part=True, sample=_part_laws),
     Check(name="tudf", field="tudf", sample=_tudf),
     Check(name="voxels", sample=partial(_seen, "observed")),
     Check(name="free", field="free", sample=partial(_seen, "free")),
