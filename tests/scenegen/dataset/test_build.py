@@ -122,30 +122,34 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
 
 
 def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
-    """Byte by byte; whole shards are kept, and one that was not full is made again."""
-    grown = make(folder, counts=MORE)
-    assert grown.samples_written == 20 + 8 - 12, (
-        "two shards of training and one of validation were whole"
-    )
+    """Byte by byte; whole shards are not touched, and one that was not full is made again."""
+    kept = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
+    before = [(folder / name).stat().st_mtime_ns for name in kept]
+    assert make(folder, counts=MORE).samples_written == 20 + 8 - 12
     assert content(folder) == content(larger)
-    with pytest.raises(DatasetError, match=r"counts\.train is 20 there, 13 asked for"):
-        make(folder, counts={"train": 13, "val": 9, "test": 9})
+    assert [(folder / name).stat().st_mtime_ns for name in kept] == before
+
+
+def test_a_dataset_does_not_shrink(folder):
+    before = content(folder)
+    with pytest.raises(DatasetError, match=r"counts\.train is 13 there, 7 asked for"):
+        make(folder, counts={"train": 7, "val": 9, "test": 9})
+    assert content(folder) == before
 
 
 def test_growth_that_is_killed_goes_on(folder, larger, monkeypatch):
-    """After two of the three shards that are kept were told of how many they are now."""
-    done, original = [], shards.write_whole
+    written, original = [], shards.write_whole
 
-    def killed(path, written):
-        if len(done) == 2:
+    def killed(path, content):
+        if len(written) == 2:
             raise KeyboardInterrupt
-        done.append(path)
-        original(path, written)
+        written.append(path)
+        original(path, content)
 
-    monkeypatch.setattr(shards, "write_whole", killed)
-    with pytest.raises(KeyboardInterrupt):
-        make(folder, counts=MORE)
-    monkeypatch.setattr(shards, "write_whole", original)
+    with monkeypatch.context() as patch:
+        patch.setattr(shards, "write_whole", killed)
+        with pytest.raises(KeyboardInterrupt):
+            make(folder, counts=MORE)
     assert make(folder, counts=MORE).complete
     assert content(folder) == content(larger)
 

@@ -7,13 +7,13 @@ import itertools
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scenegen.dataset.rescan import plan_rescan
-from scenegen.share.regenerate import recipe_text
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
 from scenegen.dataset.build import build
+from scenegen.dataset.like import plan_like
+from scenegen.dataset.recipe_file import recipe_text
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
 from scenegen.truth import distance_field, rasterize
@@ -104,11 +104,11 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path):
     assert dataset.manifest.digest == built(two, workers=2).manifest.digest
     assert verify(one.folder).ok
     assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
-    again = built(plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02")))
+    again = built(plan_like(one.folder, tmp_path / "again", noise=Noise.parse("range:0.02")))
     for before, after in zip(dataset.split("train"), again.split("train"), strict=True):
         assert_array_equal(before.occupancy, after.occupancy)
-    assert "hollow = true" in recipe_text(one.parameters, "again")
-    with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
+    assert "hollow = true" in recipe_text(one.manifest.tables, "again")
+    with pytest.raises(DatasetError, match=r"grid\.hollow is true there, false asked for"):
         build(plan(one.folder, hollow=False), workers=1)
-    edit_at(one.folder, "grid.hollow", "")
+    edit_at(one.folder, "recipe.grid.hollow", "false")
     assert not verify(one.folder).ok  # solids are another truth

@@ -336,7 +336,7 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
 def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys):
     words = f"generate --scene {dataset.parent}/hall-0.npz -o {tmp_path}/no"
     for part in ("--labels class", "--normals"):
-        assert "has no geoms" in refused(capsys, f"{words} {part}")
+        assert "is a map of voxels" in refused(capsys, f"{words} {part}")
     assert "no engine but its own" in refused(capsys, f"{words} --engine mujoco")
     assert not (tmp_path / "no").exists()
 

@@ -1,0 +1,178 @@
+"""Parts of samples that are asked for: their fields, digest and laws, and what breaks these."""
+
+import dataclasses
+import hashlib
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import scenegen
+from scenegen.dataset.build import plan_dataset
+from scenegen.errors import AskedError, DatasetError, RecipeError
+from scenegen.parts import PARTS
+from scenegen.parts.normals import Normals
+from scenegen.sample import GROUPS
+from scenegen.source import read_scenes
+from scenegen.verification import verify
+from scenegen.worlds.labels import labels_by
+from tests.command_line import done
+from tests.conftest import THREE, dataset_in, scene_recipe, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
+
+SETTINGS = {"labels": labels_by("class", ()), "normals": Normals()}
+BOX = np.array([9.0, 6.0, 1.5]), np.array([1.0, 0.5, 1.5])
+"""Centre and half extents."""
+WORLD = """<mujoco><custom><numeric name="flight_bounds" data="3 2 1 15 10 4"/></custom>
+<worldbody><geom type="plane" size="8 8 .1" pos="8 8 0"/>
+<geom type="box" size="1 0.5 1.5" pos="9 6 1.5"/></worldbody></mujoco>"""
+
+
+def with_parts(*names, **tables):
+    parts = {name: SETTINGS[name] for name in names}
+    return dataclasses.replace(small_recipe(**tables), parts=parts)
+
+
+@pytest.fixture(scope="session")
+def whole(once):
+    """A dataset with every part; not to be changed."""
+    recipe = with_parts(*PARTS)
+    return once("parts", lambda folder: dataset_in(folder / "d", recipe)) / "d"
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    """A copy, to change."""
+    return forge.copy(whole, tmp_path / "d")
+
+
+def test_every_part_has_a_group_of_fields():
+    assert [name for name in GROUPS if name in PARTS] == [*PARTS]
+
+
+@pytest.mark.parametrize("names", [["labels"], ["normals"], ["normals", "labels"]])
+def test_parts_add_fields_and_change_none(names):
+    plain, more = (drawn_unit(it, seed=1).samples[0] for it in (small_recipe(), with_parts(*names)))
+    added = [field for name in PARTS if name in names for field in GROUPS[name]]
+    assert more.names == (*plain.names, *added)
+    for field in plain.names:
+        assert_array_equal(getattr(plain, field), getattr(more, field))
+
+
+def test_a_digest_covers_parts_in_their_order():
+    plain, more = (drawn_unit(it, seed=1).samples[0] for it in (small_recipe(), with_parts(*PARTS)))
+    digest = plain.sha256()
+    for name in PARTS:
+        fields = b"".join(getattr(more, field).tobytes() for field in GROUPS[name])
+        digest = hashlib.sha256(digest + fields).digest()
+    assert more.sha256() == digest
+
+
+def test_a_dataset_with_parts_passes_every_check(whole):
+    report = verify(whole)
+    assert report.ok, report.failed
+    counts = {check.name: check.counts for check in report.checks}
+    assert counts["parts"]["samples"] == 3
+    assert counts["part-laws"]["samples"] == 3 * len(PARTS)
+
+
+def test_with_noise_parts_are_of_what_the_clean_ray_met(tmp_path):
+    recipe = with_parts(*PARTS, noise={"stages": "spurious:0.1,dropout:0.2"})
+    found = dataset_in(tmp_path / "d", recipe)
+    assert not failed(found.folder)
+    sample = found.split("train")[0]
+    has_normal = np.linalg.norm(sample.return_normal, axis=-1) > 0.5
+    assert not (has_normal & ~np.isfinite(sample.ranges)).any()
+
+
+def test_normals_are_those_of_the_box_and_the_floor(tmp_path):
+    (tmp_path / "w.xml").write_text(WORLD)
+    recipe = dataclasses.replace(scene_recipe(), parts={"normals": Normals()})
+    recipe = dataclasses.replace(recipe, accept=dataclasses.replace(recipe.accept, min_solids=0.0))
+    source = read_scenes(tmp_path / "w.xml", THREE, seed=0)
+    found = built(plan_dataset(tmp_path / "d", recipe, source, seed=1, counts=THREE))
+    met = set()
+    for sample in found.split("train"):
+        returned = np.isfinite(sample.ranges)
+        points, normals = sample.points(), sample.return_normal[returned]
+        on_floor = np.abs(points[:, 2]) < 1e-4
+        depths = np.abs(points - BOX[0]) - BOX[1]
+        axes = depths.argmax(axis=1)
+        expected = np.zeros_like(points)
+        rows = np.arange(len(points))
+        expected[rows, axes] = np.sign((points - BOX[0])[rows, axes])
+        expected[on_floor] = 0.0, 0.0, 1.0
+        clear = on_floor | ((np.abs(depths) < 1e-3).sum(axis=1) == 1)  # of two faces, on an edge
+        assert_allclose(normals[clear], expected[clear], atol=1e-6)
+        assert_array_equal(sample.return_normal[~returned], 0.0)
+        met |= {*map(tuple, expected[clear].astype(int).tolist())}
+    assert len(met) >= 3
+
+
+def flipped(arrays):
+    arrays["return_normal"][1] *= -1
+
+
+def longer(arrays):
+    arrays["return_normal"][1] *= 1.1
+
+
+def of_nothing(arrays):
+    arrays["return_normal"][1][~np.isfinite(arrays["ranges"][1])] = 0.0, 0.0, 1.0
+
+
+def unowned(arrays):
+    arrays["voxel_geom"][1][arrays["occupancy"][1]] = -1
+
+
+def classless(arrays):
+    arrays["return_class"][1] = 0
+
+
+def of_no_class(arrays):
+    arrays["voxel_class"][1][arrays["occupancy"][1]] = 999
+
+
+def of_another_geom(arrays):
+    arrays["voxel_geom"][1][arrays["occupancy"][1]] += 1
+
+
+@pytest.mark.parametrize(
+    ("change", "check"),
+    [
+        (flipped, "parts"),
+        (longer, "part-laws"),
+        (of_nothing, "part-laws"),
+        (unowned, "part-laws"),
+        (classless, "part-laws"),
+        (of_no_class, "part-laws"),
+        (of_another_geom, "parts"),
+    ],
+)
+def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(folder, change, check):
+    forge.edit(folder, "train-00000.h5", change)
+    assert {check, "digest"} <= failed(folder).keys()
+
+
+def test_a_part_that_is_not_in_the_fields_is_refused(folder):
+    forge.edit_at(folder, "recipe.parts.normals", "")
+    with pytest.raises(DatasetError, match="fields"):
+        scenegen.load(folder)
+
+
+def test_options_of_parts_make_a_dataset_with_them(tmp_path, small, capsys):
+    options = "--n 3 --val 0 --test 0 --workers 1 --quiet --labels group --normals"
+    done(capsys, f"generate --recipe {small} {options} -o {tmp_path}/d")
+    found = scenegen.load(tmp_path / "d")
+    assert found.describe()["return_normal"]["shape"] == (8, 24, 3)
+    assert found.describe()["voxel_geom"]["dtype"] == "int32"
+    assert found[0].voxel_class.max() == 1
+
+
+def test_a_part_that_nobody_knows_is_refused_by_name():
+    with pytest.raises(AskedError, match="colour"):
+        scenegen.generate("pillar", 1, out="x", colour=True)
+    with pytest.raises(RecipeError, match="expected one of class, name"):
+        scenegen.generate("pillar", 1, out="x", labels="colour")
