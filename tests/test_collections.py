@@ -62,11 +62,7 @@ def test_all_samples_are_converted(here, capsys, data, samples):
 
 def test_a_selection_is_counted(here, capsys):
     splits = json.loads(done(capsys, "inspect few.json --json"))["splits"]
-    assert {name: split["samples"] for name, split in splits.items()} == {
-        "train": 4,
-        "val": 2,
-        "test": 4,
-    }
+    assert [split["samples"] for split in splits.values()] == [4, 2, 4]
 
 
 @pytest.mark.parametrize("data", ["both", "few.json"])

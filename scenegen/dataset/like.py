@@ -210,6 +210,11 @@ def plan_like(
             f"{name}: its noise, {short(original.noise_stages)}, has stages that are none of "
             "scenegen's own, which are not imported because a manifest names them; give --noise"
         )
+    if odd := sorted({"tilt_mps", "settle_s", "most_tilt_deg"} & set(mapping or {})):
+        raise DatasetError(
+            f"{name}: its samples keep their poses, and {odd[0]} would tilt others; generate a "
+            "dataset with it"
+        )
     engine = engine or original.engine
     find_engine(engine)
     with raised_as(DatasetError, f"{name}: ", of=(BrokenError, ValueError)):

@@ -219,10 +219,11 @@ def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str
     kept = kept_measures(dataset) if conditions else {}
     of_worlds = [one.name for one in conditions if one.name not in MEASURES]
     if of_worlds and not kept:
-        folder = dataset.datasets[0].folder
+        lacking = [one for one in dataset.datasets if not _kept_of_one(one)]
+        commands = [f"scenegen inspect {quote(str(one.folder))} --keep" for one in lacking]
         raise DatasetError(
             f"{dataset.name}: {of_worlds[0]} is a mean over all maps of a world; measure these "
-            f"first: scenegen inspect {quote(str(folder))} --keep"
+            f"first: {'; '.join(commands)}"
         )
     numbers = {}
     for name in (name for name in SPLITS if name in choice.splits):

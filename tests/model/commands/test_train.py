@@ -143,13 +143,13 @@ WITHOUT = (
 
 
 @pytest.mark.checkout
-def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
+def test_without_an_extra_it_says_what_to_install(tmp_path, shell, made):
     (tmp_path / "without.py").write_text(WITHOUT)
     (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")
     (tmp_path / "drive.mcap").touch()
     for extra, *words in (
         ("train", "train", "anything"),
-        ("train", "bench", "data", "--weights", "proposed"),
+        ("train", "bench", made, "--weights", "proposed"),
         ("mcap", "ingest", "drive.mcap"),
         ("fly", "my_command:fly"),
     ):

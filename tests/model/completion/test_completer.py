@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
-from scenegen.dataset.parts import sensor_entry
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.sensors.catalogue import OS1_64
+from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, opened_once, unlike
 from scenegen.model.completion.protocol import PredictionError

@@ -37,7 +37,7 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     for _ in range(2):
         predict_split(
             net,
-            folders[1],
+            dataset,
             "test",
             tmp_path / "p",
             on_start=counts.append,
@@ -124,7 +124,7 @@ def test_damaged_completions_of_scans_are_made_again(net, tmp_path, capsys):
 def test_maps_of_another_grid_are_refused(folders, tmp_path):
     net = completer_of(tmp_path / "net.safetensors", GridSpec(shape=(16, 16, 16)))
     with pytest.raises(DatasetError, match="train a network on this grid"):
-        predict_split(net, folders[0], "test", tmp_path / "p")
+        predict_split(net, Dataset(folders[0]), "test", tmp_path / "p")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
@@ -211,7 +211,7 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
         with pytest.raises(DatasetError, match=r"(json|h5): File too large"):
-            predict_split(net, folders[0], "train", tmp_path / "p")
+            predict_split(net, Dataset(folders[0]), "train", tmp_path / "p")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
             complete_scans(net, 2, [("s", lambda: given), ("t", lambda: given)], tmp_path, True)
         gc.collect()

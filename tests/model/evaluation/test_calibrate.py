@@ -33,20 +33,20 @@ def weights(dataset, tmp_path, monkeypatch):
 def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     before = load_network(weights)[0].state_dict()
     sure, done = tmp_path / "sure.safetensors", {"split": "test"}
-    found = calibrate(weights, [dataset.folder], sure, **done)
+    found = calibrate(weights, [dataset], sure, **done)
     network, _, about = load_network(sure)
     assert Calibration.of(about) == found
     assert {name: value for name, value in about.items() if name != KEY} == TRAINED
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
     assert (found.worlds, found.class_weight) == (3, 5.0)
     assert found.datasets == (str(dataset.manifest.digest),)
-    again = calibrate(sure, [dataset.folder], weights, **done, execute=Backwards("", 1))
+    again = calibrate(sure, [dataset], weights, **done, execute=Backwards("", 1))
     assert again == found  # it depends neither on what was there nor on where it is done
 
     completer = Completer.from_pretrained(sure)
     samples = dataset.split("test")
     said = completer(samples[0].observed)
-    away, _ = predict_split(completer, dataset.folder, "test", tmp_path / "p")
+    away, _ = predict_split(completer, dataset, "test", tmp_path / "p")
     assert away == [completer(one.observed).away for one in samples]
     assert max(away) < 1  # it was calibrated on these
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
@@ -55,7 +55,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
 
 def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
     completer = Completer.from_pretrained(weights)
-    predict_split(completer, dataset.folder, "test", tmp_path / "p")
+    predict_split(completer, dataset, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
         del file.attrs["digest"]  # which says that nothing was added
         file["probability"] = np.array([one.occupancy for one in dataset.split("test")], np.float32)
@@ -70,18 +70,18 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
     for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
         saved_network(odd, dataset.grid, about)
         with pytest.raises(CheckpointError, match="no class weight above 0"):
-            calibrate(odd, [dataset.folder], weights)
+            calibrate(odd, [dataset], weights)
     saved_network(odd, dataset.grid, TRAINED, variant="tudf")
     with pytest.raises(CheckpointError, match="predicts no probabilities"):
-        calibrate(odd, [dataset.folder], weights)
+        calibrate(odd, [dataset], weights)
     saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1, "temperature": 1.0}})
     with pytest.raises(CheckpointError, match="its calibration is damaged"):
         Completer.from_pretrained(odd)
     with pytest.raises(DatasetError, match="one dataset is given twice"):
-        calibrate(weights, [dataset.folder] * 2, tmp_path / "none.safetensors", split="test")
+        calibrate(weights, [dataset] * 2, tmp_path / "none.safetensors", split="test")
     monkeypatch.setattr(module, "MIN_WORLDS", 20)
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
-        calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
+        calibrate(weights, [dataset], tmp_path / "none.safetensors", split="test")
     assert not (tmp_path / "none.safetensors").exists()
 
 

@@ -110,10 +110,10 @@ def test_classes_part_the_map_and_mean_what_they_say(kind):
 def test_nothing_below_the_ground_counts(rng):
     recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
     low = samples_of(recipe)[0]
-    grid, tables = recipe.grid, recipe.resolved()
-    scored = scored_voxels(low, grid, tables)
+    grid, table = recipe.grid, recipe.resolved()["world"]
+    scored = scored_voxels(low, grid, table)
     heights = low.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
-    underside = -tables["world"]["ground_m"]
+    underside = -table["ground_m"]
     assert not scored[..., heights < underside - grid.voxel_m].any()
     assert scored[..., heights > underside].all()
     assert 0 < scored.sum() < scored.size
@@ -127,9 +127,9 @@ def test_nothing_below_the_ground_counts(rng):
         count = len(CLASSES)
         rows.append(measure(said, far, low.occupancy, low.tudf, classes=classes, class_count=count))
     assert_array_equal(*rows)
-    assert scored_voxels(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
-    tables["world"]["ground"] = False
-    assert scored_voxels(low, grid, tables).all()
+    assert scored_voxels(low, grid, {"ground": "grass"}).all()  # somebody's own kind
+    table["ground"] = False
+    assert scored_voxels(low, grid, table).all()
 
 
 def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans(rng):

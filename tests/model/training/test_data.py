@@ -3,6 +3,7 @@
 import gc
 import multiprocessing
 import shutil
+from functools import partial
 
 import h5py
 import numpy as np
@@ -11,7 +12,9 @@ import torch
 
 from lidarsim import Lidar
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.selection import Choice, choose, encode_selection
 from scenegen.errors import DatasetError, ScenegenError
+from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES
@@ -19,6 +22,7 @@ from scenegen.model.training.data import (
     Maps,
     epoch_batches,
     load,
+    opened,
     views,
 )
 from scenegen.model.training.loop import origin
@@ -138,3 +142,11 @@ def test_weights_that_are_no_proportion_are_refused(folders, weight):
     with pytest.raises(ScenegenError, match="weight") as error:
         maps_of([(folders[0], weight), folders[1]])
     assert str(folders[0]) in str(error.value)
+
+
+def test_a_dataset_and_a_selection_of_it_are_not_read_together(folders, tmp_path):
+    few, choice, dataset = tmp_path / "few.json", Choice(most=2), Dataset(folders[0])
+    few.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
+    for read in (partial(opened, split="train"), train):
+        with pytest.raises(DatasetError, match="holds the same samples as"):
+            read([folders[0], few])

@@ -13,7 +13,7 @@ def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
     code, said, notes = run(capsys, f"{command} --workers 1")
     assert code == 0
     assert "Wrote publish/pillars. Nothing is uploaded (--dry-run)." in notes
-    for name in ("train-*.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v1-"):
+    for name in ("train-*.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v2-"):
         assert name in said
     code, said, _ = run(capsys, f"{command} --json --tag v7")
     found = json.loads(said)
