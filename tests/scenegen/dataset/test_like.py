@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from lidarsim import BeamTable, Lidar, Pose
-from lidarsim.engines.analytic import AnalyticEngine
+from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.like import plan_like, scan_again
+from scenegen.dataset.like import plan_like
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
-from scenegen.draw import UnitKey
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.parts.normals import Normals
 from scenegen.source import read_scenes
@@ -23,7 +21,7 @@ from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.command_line import done, refused
 from tests.conftest import COUNTS, contents, dataset_in, scene_recipe, small_recipe
-from tests.scenegen.conftest import built, drawn_unit
+from tests.scenegen.conftest import built
 from tests.scenegen.dataset import SCENE
 from tests.scenegen.verification import forge
 
@@ -153,16 +151,10 @@ def test_a_flight_that_comes_out_otherwise_is_refused(made, tmp_path):
 
 def test_parts_are_those_of_the_original(tmp_path):
     parts = {"labels": labels_by("class", ()), "normals": Normals()}
-    recipe = dataclasses.replace(small_recipe(), parts=parts)
-    original = dataset_in(tmp_path / "d", recipe)
-    same = scan_again_like(original, tmp_path / "same")
-    assert (same.digest, same.manifest.parts) == (original.digest, original.manifest.parts)
-
-
-def scan_again_like(original, folder):
-    """The dataset scanned by its own sensor from its own poses: first with noise, then without."""
-    build(plan_like(original.folder, folder / "noisy", noise=Noise.parse("range")))
-    return built(plan_like(folder / "noisy", folder / "clean", noise=Noise()))
+    original = dataset_in(tmp_path / "d", dataclasses.replace(small_recipe(), parts=parts))
+    build(plan_like(tmp_path / "d", tmp_path / "noisy", noise=Noise.parse("range")))
+    again = built(plan_like(tmp_path / "noisy", tmp_path / "clean", noise=Noise()))
+    assert (again.digest, again.manifest.parts) == (original.digest, original.manifest.parts)
 
 
 def test_what_is_interrupted_goes_on(noisy, tmp_path):
@@ -268,17 +260,6 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
         (folder / NAME).write_bytes(listed)
     with pytest.raises(DatasetError, match=fault):
         build(plan_like(folder, tmp_path / "d", noise=Noise.parse("range")))
-
-
-@pytest.mark.parametrize("heading", [(1, 0), (0, 1), (-1, 0)])
-def test_scanned_again_from_any_pose_the_truth_is_the_worlds(heading):
-    recipe = small_recipe()
-    unit = drawn_unit(recipe)
-    pose = Pose.facing(unit.samples[0].position, heading)
-    key, how = UnitKey(0, "train", 0), {"names": (0, 0), "engine": AnalyticEngine.of}
-    (sample,) = scan_again(unit.world, [[pose]], recipe, key, **how).samples
-    assert_array_equal(sample.occupancy, unit.samples[0].occupancy)
-    assert not (sample.observed & ~sample.occupancy).any()
 
 
 def test_the_command_line_takes_it(noisy, tmp_path, capsys):

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.dataset.build import plan_dataset
-from scenegen.errors import AskedError, DatasetError, RecipeError
+from scenegen.errors import AskedError, RecipeError
 from scenegen.parts import PARTS
 from scenegen.parts.normals import Normals
 from scenegen.sample import GROUPS
@@ -154,12 +154,6 @@ def of_another_geom(arrays):
 def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(folder, change, check):
     forge.edit(folder, "train-00000.h5", change)
     assert {check, "digest"} <= failed(folder).keys()
-
-
-def test_a_part_that_is_not_in_the_fields_is_refused(folder):
-    forge.edit_at(folder, "recipe.parts.normals", "")
-    with pytest.raises(DatasetError, match="fields"):
-        scenegen.load(folder)
 
 
 def test_options_of_parts_make_a_dataset_with_them(tmp_path, small, capsys):

@@ -139,12 +139,6 @@ def test_a_selection_of_a_selection_chooses_among_its_samples(several, tmp_path)
         assert samples_of(source, split) == [every[n] for n in numbers[split]][2:]
 
 
-def test_selections_are_read_together_as_their_samples(written, folder):
-    both = open_data([written, folder / "geometric"])
-    parts = open_data(written), Dataset(folder / "geometric")
-    assert samples_of(both, "train") == [one for it in parts for one in samples_of(it, "train")]
-
-
 def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
     shutil.rmtree(folder / "pillar")
     dataset_in(folder / "pillar", seed=9, counts=COUNTS)
