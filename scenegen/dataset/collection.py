@@ -88,10 +88,10 @@ def check_together(datasets: Sequence[Dataset]) -> None:
     """Raise DatasetError unless `datasets` can be read as one: of one grid, no two with the same
     samples, and no world in two splits, as far as manifests say; `verify` looks at the worlds
     themselves."""
-    first = datasets[0]
     by_parameters = dict[str, Dataset]()
     split_of_world = dict[str, tuple[str, Dataset]]()
     for dataset in datasets:
+        first = datasets[0]
         if dataset.grid != first.grid:
             raise DatasetError(
                 f"{dataset.name}: its grid is {dataset.grid}, that of {first.name} is "
