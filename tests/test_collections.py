@@ -9,7 +9,7 @@ from scenegen.dataset.opening import open_data
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
-from tests.command_line import code_of, done, rows
+from tests.command_line import code_of, done, refused, rows
 from tests.conftest import contents, dataset_in
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
@@ -71,6 +71,12 @@ def test_worlds_are_numbered_through(here, capsys, data):
     done(capsys, f"world {data} 3 --split train -o w.xml")
     done(capsys, "world both/b 1 --split train -o own.xml")
     assert (here / "w.xml").read_bytes() == (here / "own.xml").read_bytes()
+
+
+def test_measures_are_kept_beside_one_dataset(here, capsys):
+    before = contents(here / "both")
+    assert "few.json" in refused(capsys, "inspect few.json --keep --json")
+    assert contents(here / "both") == before
 
 
 def test_a_selection_of_a_selection_is_read(here, capsys):

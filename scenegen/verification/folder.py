@@ -227,6 +227,11 @@ class _Walk:
         self._tasks = execute.mine(self._all_tasks)
         self.samples = sum(task.entry.samples for task in self._tasks)
 
+    @property
+    def sees_all(self) -> bool:
+        """Whether all shards are examined here, and none elsewhere."""
+        return len(self._tasks) == len(self._all_tasks)
+
     def run(self, on_start: Begun, on_done: Counted) -> None:
         """Examine every shard, and then the whole."""
         if self.contract is None:
@@ -246,7 +251,7 @@ class _Walk:
                 on_done(self._all_tasks[number].entry.samples)
         for check in self._checks:
             with self.ledger.checking(check.name) as page:
-                if check.folder is not None and len(self._tasks) == len(self._all_tasks):
+                if check.folder is not None and self.sees_all:
                     check.folder(self.contract, page)
                 elif check.folder is not None:
                     page.skipped = (
@@ -262,6 +267,9 @@ def _together(walks: Sequence[_Walk]) -> Outcome:
     """Whether datasets that are read as one share no world between splits, and no sample."""
     ledger, name = Ledger(), "together"
     with ledger.checking(name) as page:
+        if not all(walk.sees_all for walk in walks):
+            page.skipped = "compares all shards, and a part of them is examined here"
+            return page.outcome(name)
         split_of, where = dict[bytes, str](), dict[bytes, str]()
         for walk in walks:
             if walk.contract is None:
