@@ -18,8 +18,8 @@ from scoring import CAREFUL, Options, Results, drawn, measured, publish, tables
 
 from scenegen import Prediction, Sample
 from scenegen.dataset.read import Split
-from scenegen.model.evaluation.methods import Truth, rows_of
-from scenegen.recipe import make_recipe
+from scenegen.model.bench.methods import Truth, rows_of
+from scenegen.worlds.recipe import make_recipe
 
 TABLES = {"iou": "## IoU", "near_rmse": "## Near-RMSE, m", "success": "## Success"}
 KINDS = ("geometric", "pillar")

@@ -34,12 +34,12 @@ from tyro.conf import Positional
 from lidarsim.grid import Floats, Ints
 from scenegen import Dataset
 from scenegen.dataset.read import Split
-from scenegen.display.figures import draw_completions
-from scenegen.display.look import Guess, look_into
-from scenegen.display.panels import to_bytes
-from scenegen.model.evaluation.methods import Method, rows_of
-from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify
-from scenegen.scored import scored_voxels
+from scenegen.draw.scored import scored_voxels
+from scenegen.model.bench.methods import Method, rows_of
+from scenegen.model.bench.visibility import CLASSES, UNSCORED, classify
+from scenegen.view.figures import draw_completions
+from scenegen.view.look import Guess, look_into
+from scenegen.view.panels import to_bytes
 
 MISSED = (
     "missed: holds a return",

@@ -27,17 +27,17 @@ from scoring import CAREFUL, RESULTS, Results, ahead, measured, titled, told
 from tyro.conf import Positional
 
 from lidarsim.sensors import SENSORS
-from lidarsim.solids.shapes import BOX, CYLINDER
+from lidarsim.solids import BOX, CYLINDER
 from scenegen import Dataset, Sample, WorldKind, preset
 from scenegen.dataset.build import build
 from scenegen.dataset.like import plan_like
+from scenegen.model.bench.methods import rows_of
+from scenegen.model.bench.metrics import PLAN_METRICS
+from scenegen.model.bench.run import DatasetResult
 from scenegen.model.config import PlanConfig, bundled
-from scenegen.model.evaluation.methods import rows_of
-from scenegen.model.evaluation.metrics import PLAN_METRICS
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.recipes.kind import Range, yaw_quaternion
-from scenegen.tables import named_noise
 from scenegen.worlds.drawing import Drawing
+from scenegen.worlds.kinds.kind import Range, yaw_quaternion
+from scenegen.worlds.tables import named_noise
 
 WORLDS = {
     "pillar": "pillar",

@@ -23,14 +23,14 @@ from scoring import RESULTS, publish, titled, told
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats
+from scenegen.base.workers import ALONE
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.robots import FORGETFUL, NAMES
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
-from scenegen.recipes import kind_names
-from scenegen.run.workers import ALONE
 from scenegen.truth.difficulty import Difficulty
+from scenegen.worlds.kinds import kind_names
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")

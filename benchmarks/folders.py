@@ -88,9 +88,9 @@ def main() -> None:
 
 def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> None:
     """A folder of shards of one sample each, which no manifest lists yet."""
+    from scenegen.base.workers import run
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
-    from scenegen.run.workers import run
 
     (plan,) = plan_generation(
         n=train,
@@ -110,7 +110,7 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
 def _forge(folder: Path, unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
-    from scenegen.draw import none_rejected
+    from scenegen.draw.draw import none_rejected
 
     number, spec = task
     (sample,) = unit.samples

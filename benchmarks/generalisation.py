@@ -26,13 +26,13 @@ from real import POSES, real_places
 from scoring import RESULTS, by_map, drawn, measured, rewrite, titled
 
 from scenegen import Dataset, preset
+from scenegen.base.executors import commit
+from scenegen.model.bench.methods import Method, rows_of
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
+from scenegen.model.bench.statistics import brief, summarise
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Method, rows_of
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import brief, summarise
 from scenegen.model.tables import markdown
-from scenegen.recipes import kind_names
-from scenegen.run.software import commit
+from scenegen.worlds.kinds import kind_names
 
 BUNDLED = "columns"
 FILE = "generalisation.json"

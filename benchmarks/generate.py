@@ -24,21 +24,21 @@ from unittest.mock import patch
 
 import measuring
 
+from scenegen.base.executors import cores
 from scenegen.dataset.generation import plan_generation
-from scenegen.run import cores
 
 STAGES = {
-    "draw world, write MJCF, compile": "scenegen.source.write_world",
+    "draw world, write MJCF, compile": "scenegen.draw.source.write_world",
     "  of which compile, read solids": "scenegen.worlds.world.compile_world",
-    "plan flight": "scenegen.draw.fly",
+    "plan flight": "scenegen.draw.draw.fly",
     "  of which RRT": "scenegen.worlds.flight.connect",
     "make engine": "scenegen.worlds.world.World.caster",
-    "cast rays": "scenegen.draw.cast",
+    "cast rays": "scenegen.draw.draw.cast",
     "occupancy": "scenegen.worlds.world.rasterize",
-    "observed and free": "scenegen.draw.fuse",
-    "distance": "scenegen.draw.distance_field",
+    "observed and free": "scenegen.draw.draw.fuse",
+    "distance": "scenegen.draw.draw.distance_field",
     "compress": "scenegen.dataset.shard.compress",
-    "sample digest": "scenegen.sample.Sample.sha256",
+    "sample digest": "scenegen.draw.sample.Sample.sha256",
     "file digest": "scenegen.dataset.shard.sha256_of",
     "write and sync": "scenegen.dataset.shard.create_at",
 }

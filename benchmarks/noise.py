@@ -19,10 +19,10 @@ from lidarsim import Pose, Sensor, attach
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import DATASHEET
 from scenegen.dataset.generation import plan_generation
-from scenegen.draw import scan_world
-from scenegen.recipes import kind_names
-from scenegen.source import named_world
-from scenegen.tables import named_lidar
+from scenegen.draw.draw import scan_world
+from scenegen.draw.source import named_world
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.tables import named_lidar
 from scenegen.worlds.world import World, solid
 
 CLEAN = ""

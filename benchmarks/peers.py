@@ -24,8 +24,8 @@ from torch import Tensor, nn
 from tyro.conf import Positional
 
 from scenegen import Output
+from scenegen.model.bench.methods import rows_of
 from scenegen.model.completion.completer import open_network
-from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.network import placed
 
 HERE = Path(__file__).parent

@@ -41,16 +41,16 @@ from tyro.conf import Positional
 
 from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Prediction, preset
-from scenegen.files import sha256_of
+from scenegen.base.files import sha256_of
+from scenegen.draw.scored import scored_voxels
 from scenegen.fly.suite import MAPS
+from scenegen.model.bench.methods import Method, Truth, rows_of
+from scenegen.model.bench.reliability import REGIONS, count, reliability
+from scenegen.model.bench.run import MethodResult
+from scenegen.model.bench.statistics import brief
 from scenegen.model.calibration import denial
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Method, Truth, rows_of
-from scenegen.model.evaluation.reliability import REGIONS, count, reliability
-from scenegen.model.evaluation.run import MethodResult
-from scenegen.model.evaluation.statistics import brief
 from scenegen.model.inputs import PointScan
-from scenegen.scored import scored_voxels
 
 UNLEARNED = ("extrude", "returns", "conservative", "empty")
 BASE = "extrude"

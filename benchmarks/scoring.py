@@ -12,13 +12,13 @@ import numpy as np
 from scenegen import Dataset, Recipe
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Split
+from scenegen.draw.source import DrawnWorlds, Source, read_scenes
+from scenegen.model.bench.methods import Method
+from scenegen.model.bench.metrics import PLAN_METRICS
+from scenegen.model.bench.run import DatasetResult, bench
+from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.metrics import PLAN_METRICS
-from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import Scale, brief, summarise
 from scenegen.model.tables import markdown
-from scenegen.source import DrawnWorlds, Source, read_scenes
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 MARK = "<!-- tables -->"

@@ -29,13 +29,13 @@ from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, RASTER
 from lidarsim.sensors.device import angles_deg
-from scenegen.display.colours import DISTANCES, colour
-from scenegen.display.panels import to_bytes
-from scenegen.display.pictures import draw_patterns
-from scenegen.draw import scan_world
-from scenegen.recipes import kind_names
-from scenegen.source import read_world
-from scenegen.tables import named_lidar
+from scenegen.draw.draw import scan_world
+from scenegen.draw.source import read_world
+from scenegen.view.canvas import DISTANCES, colour
+from scenegen.view.panels import to_bytes
+from scenegen.view.pictures import draw_patterns
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent
 SHEETS = DOCS / "pictures" / "gallery"

@@ -25,9 +25,9 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
 from lidarsim.sensors.device import angles_deg
-from scenegen.recipe import Acceptance
-from scenegen.recipes.kind import WorldKind, bounds_by_name
 from scenegen.worlds.flight import Flight
+from scenegen.worlds.kinds.kind import WorldKind, bounds_by_name
+from scenegen.worlds.recipe import Acceptance
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)

@@ -18,7 +18,7 @@ from lidarsim.registry import suggestion
 from lidarsim.scan import Scan, mounted
 from lidarsim.sensors import Sensor, check_sensor
 from lidarsim.sensors.raster import Lidar
-from lidarsim.solids.model import ModelSolids, check_forwarded
+from lidarsim.solids import ModelSolids, check_forwarded
 
 HERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 Told = TypeVar("Told")

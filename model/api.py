@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.opening import open_data
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import cores
+from scenegen.base.workers import Local
+from scenegen.dataset.collection import open_data
 from scenegen.dataset.read import AnyDataset
-from scenegen.errors import DatasetError
+from scenegen.model.bench.methods import Completed, rows_of
+from scenegen.model.bench.report import build_report
+from scenegen.model.bench.run import bench_all
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import USUAL, BenchConfig, TrainConfig
-from scenegen.model.evaluation.methods import Completed, rows_of
-from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import bench_all
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
-from scenegen.run import cores
-from scenegen.run.workers import Local
 
 
 def train(

@@ -10,8 +10,8 @@ import numpy as np
 
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.parameters import check, number
-from scenegen.errors import short
-from scenegen.files import Json
+from scenegen.base.errors import short
+from scenegen.base.files import Json
 
 KEY = "calibration"
 """Name of the calibration in a network's header."""

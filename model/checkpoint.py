@@ -16,9 +16,9 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
-from scenegen.files import Json, read_bounded, write_whole
-from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as, short
+from scenegen.base.files import Json, read_bounded, write_whole
+from scenegen.base.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
 from scenegen.model.config import NetworkConfig, is_own
 from scenegen.model.network import build
 

@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 from lidarsim.parameters import Checked, check, number
 from lidarsim.registry import Registry, suggestion
-from scenegen.errors import ScenegenError, raised_as, short
-from scenegen.limits import (
+from scenegen.base.errors import ScenegenError, raised_as, short
+from scenegen.base.limits import (
     MOST_BATCH,
     MOST_EPOCHS,
     MOST_FEATURES,
@@ -84,12 +84,12 @@ INPUTS = Registry(
 METHODS = Registry(
     "method",
     {
-        "empty": "scenegen.model.completion.unlearned:Empty",
-        "returns": "scenegen.model.completion.unlearned:Returns",
-        "conservative": "scenegen.model.completion.unlearned:Conservative",
-        "extrude": "scenegen.model.completion.unlearned:Extrude",
-        "truth": "scenegen.model.evaluation.methods:Truth",
-        "seen": "scenegen.model.evaluation.visibility:Seen",
+        "empty": "scenegen.model.completion.protocol:Empty",
+        "returns": "scenegen.model.completion.protocol:Returns",
+        "conservative": "scenegen.model.completion.protocol:Conservative",
+        "extrude": "scenegen.model.completion.protocol:Extrude",
+        "truth": "scenegen.model.bench.methods:Truth",
+        "seen": "scenegen.model.bench.visibility:Seen",
     },
 )
 """Classes of completers and of the bench's rows, made without arguments; a user's own completer as

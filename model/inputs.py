@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.voxelization import sort_points
-from scenegen.errors import DatasetError, told
+from scenegen.base.errors import DatasetError, told
+from scenegen.draw.sample import Sample
 from scenegen.model.config import INPUTS, is_own, named
-from scenegen.sample import Sample
 from scenegen.truth import distance_field
 
 SYMMETRIES = 8

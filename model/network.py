@@ -21,9 +21,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
+from scenegen.base.executors import processor
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
-from scenegen.run.software import processor
 
 Batch = dict[str, Tensor]
 """A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and

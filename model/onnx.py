@@ -20,13 +20,13 @@ import torch
 from torch import Tensor, nn
 
 from lidarsim.grid import Field, GridSpec
-from scenegen.errors import GuardError, needs, printable, raised_as
-from scenegen.files import Json, check_ours, read_bounded, write_result
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.errors import GuardError, needs, printable, raised_as
+from scenegen.base.files import Json, check_ours, read_bounded, write_result
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.workers import guarded
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Batch, Output, prefers_bfloat16
-from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
 """Outputs of an ONNX file, by task."""

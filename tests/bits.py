@@ -14,16 +14,17 @@ import mujoco
 import numpy as np
 
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
-from lidarsim.noise import STAGES, chance
+from lidarsim.noise import STAGES
+from lidarsim.noise import returns as chance
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import albedo_of
-from lidarsim.solids.model import solids_of
-from scenegen.draw import draw_unit
-from scenegen.recipe import preset
-from scenegen.recipes import kind_names
-from scenegen.recipes.kind import attitudes, log_uniform, normal
-from scenegen.source import DrawnWorlds, read_scenes
+from lidarsim.solids import solids_of
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.worlds.flight import viewpoints
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.kinds.kind import attitudes, log_uniform, normal
+from scenegen.worlds.recipe import preset
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

@@ -15,14 +15,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, what
 
 import numpy as np
 
+from scenegen.base.errors import ScenegenError
 from scenegen.dataset import shard
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
-from scenegen.errors import ScenegenError
-from scenegen.recipe import make_recipe
-from scenegen.source import DrawnWorlds
+from scenegen.draw.source import DrawnWorlds
 from scenegen.verification import verify
 from scenegen.worlds.place import VoxelMap, encode_map
+from scenegen.worlds.recipe import make_recipe
 from tests.command_line import SMALL as SMALL_FILE
 from tests.shell import Shell
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import scenegen
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.base.errors import DatasetError, ScenegenError
 from tests.command_line import ROOT, python, rows
 
 

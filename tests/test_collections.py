@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from scenegen.dataset.opening import open_data
+from scenegen.dataset.collection import open_data
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network

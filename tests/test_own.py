@@ -90,7 +90,7 @@ def gone():
     raise KeyError("gone")
 import click
 from dataclasses import dataclass
-from scenegen.recipes.kind import WorldKind
+from scenegen.worlds.kinds.kind import WorldKind
 class Other: pass
 @dataclass(frozen=True, kw_only=True)
 class Empty(WorldKind):

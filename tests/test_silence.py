@@ -269,8 +269,8 @@ def main():
     import time
 
     from scenegen.cli import doctor
-    from scenegen.display import panels, pictures
-    from scenegen.share import stage
+    from scenegen.publish import stage
+    from scenegen.view import panels, pictures
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     stage.SHOWN = 1

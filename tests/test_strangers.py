@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from scenegen.files import whole
+from scenegen.base.files import whole
 from tests.command_line import ROOT, SMALL, done, refused, rows
-from tests.scenegen.run import everywhere
+from tests.scenegen.base import everywhere
 
 FILES = f"""
 world d 0 -o w.xml                      → w.xml

@@ -20,13 +20,11 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Floats
-from scenegen.files import Json
-from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.figures import summaries
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, TUNED
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import (
+from scenegen.base.files import Json
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
+from scenegen.model.bench.report import PAPER, TUNED, summaries
+from scenegen.model.bench.run import DatasetResult
+from scenegen.model.bench.statistics import (
     Estimate,
     brief,
     caution,
@@ -34,6 +32,7 @@ from scenegen.model.evaluation.statistics import (
     holm,
     interval,
 )
+from scenegen.model.config import TrainConfig
 from scenegen.model.tables import markdown
 
 QUESTIONS = {

@@ -45,7 +45,7 @@ class Engine(Caster, Protocol):
         """The engine of a compiled world, in its reference configuration, or in that of `data`,
         which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
         0 are not there. Neither argument is changed. A world that an engine of ours cannot cast is
-        refused when it is read, not here: `lidarsim.solids.model` knows every shape that is."""
+        refused when it is read, not here: `lidarsim.solids` knows every shape that is."""
         ...
 
 

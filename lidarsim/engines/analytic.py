@@ -14,7 +14,7 @@ from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.engines.traverse import LANES, TILE, surfaces_of, traverse, work_arrays
 from lidarsim.grid import Floats, Ints, rays_of
-from lidarsim.solids.shapes import PLANE, Solids
+from lidarsim.solids import PLANE, Solids
 
 if TYPE_CHECKING:
     import mujoco
@@ -95,7 +95,7 @@ class AnalyticEngine:
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
         """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
         # loads MuJoCo, which an engine over known solids does not need
-        from lidarsim.solids.model import solids_of
+        from lidarsim.solids import solids_of
 
         return cls(solids_of(model, data))
 

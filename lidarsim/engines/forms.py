@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, local
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, local
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.grid import Floats, rays_of
-from lidarsim.solids.model import check_forwarded, visible_geoms
+from lidarsim.solids import check_forwarded, visible_geoms
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within

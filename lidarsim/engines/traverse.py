@@ -22,7 +22,7 @@ from lidarsim.engines.forms import (
 )
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import SPHERE, joining, local
+from lidarsim.solids import SPHERE, joining, local
 
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""

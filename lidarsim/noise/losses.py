@@ -9,8 +9,7 @@ from numpy.random import Generator
 
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.grid import Floats, Mask
-from lidarsim.noise.chance import normal
-from lidarsim.noise.returns import Fault, Returns, View, grouped
+from lidarsim.noise.returns import Fault, Returns, View, grouped, normal
 from lidarsim.parameters import number
 from lidarsim.pose import rotate
 

@@ -10,8 +10,7 @@ from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Ints
-from lidarsim.noise.chance import normal, on_circle
-from lidarsim.noise.returns import Fault, Returns, View
+from lidarsim.noise.returns import Fault, Returns, View, normal, on_circle
 from lidarsim.parameters import number
 
 SIGMAS = 4.0

@@ -52,8 +52,8 @@ FAMILIES = {
     "raster": "lidarsim.sensors.raster:Lidar",
     "table": "lidarsim.sensors.table:BeamTable",
     "spinning": "lidarsim.sensors.spinning:Spinning",
-    "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
-    "coil": "lidarsim.sensors.nonrepetitive:Coil",
+    "rosette": "lidarsim.sensors.spinning:Rosette",
+    "coil": "lidarsim.sensors.spinning:Coil",
     "pinhole": "lidarsim.sensors.raster:Pinhole",
 }
 """Families: dataclasses whose fields are the parameters."""
@@ -63,11 +63,11 @@ CATALOGUE = {
     name: name.partition("-")[2].replace("-", "_").upper()
     for name in re.findall(r"^\[(.+)\]$", TEXT, re.MULTILINE)
 }
-"""Sensors that people have: names, each with its object in `lidarsim.sensors.catalogue`."""
+"""Sensors that people have: names, each with its object in `lidarsim.sensors.device`."""
 
 SENSORS = Registry(
     "sensor",
-    FAMILIES | {name: f"lidarsim.sensors.catalogue:{place}" for name, place in CATALOGUE.items()},
+    FAMILIES | {name: f"lidarsim.sensors.device:{place}" for name, place in CATALOGUE.items()},
     needs={
         "shape": "a tuple of counts, such as (16, 120)",
         "directions_body": "unit vectors (*shape, 3) in the body frame",
@@ -86,5 +86,5 @@ def check_sensor(given: object) -> None:
     if isinstance(given, type) or not hasattr(given, "max_range_m"):
         raise ValueError(
             f"sensor = {shown(given)}: expected an object, such as lidarsim.Lidar() or "
-            f"lidarsim.sensors.catalogue.VLP_16"
+            f"lidarsim.sensors.device.VLP_16"
         )

@@ -21,14 +21,13 @@ from torch import Tensor
 from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
+from scenegen.base.errors import DatasetError, needs, printable, raised_as, whole_number
+from scenegen.base.files import Json, real_path
+from scenegen.base.limits import MOST_BATCH
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
-from scenegen.dataset.parameters import differences
+from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
 from scenegen.dataset.read import Split
-from scenegen.dataset.recipe_file import mapping_entry
-from scenegen.dataset.sensor_file import sensor_entry
-from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
-from scenegen.files import Json, real_path
-from scenegen.limits import MOST_BATCH
+from scenegen.draw.sample import Sample
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
@@ -36,7 +35,6 @@ from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, 
 from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
-from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
@@ -198,7 +196,7 @@ class Completer:
         return opened_once, self.opened
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `scenegen.model.evaluation.methods.Method`. Raises DatasetError for another grid.
+        """See `scenegen.model.bench.methods.Method`. Raises DatasetError for another grid.
 
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.

@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from scenegen.base.errors import DatasetError, empty_split, raised_as
+from scenegen.base.executors import Counted, Executor, chunked, counted, unheard
+from scenegen.base.files import claim, make_parent
+from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
-from scenegen.errors import DatasetError, empty_split, raised_as
-from scenegen.files import claim, make_parent
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.protocol import STORED
 from scenegen.model.completion.stored import (
@@ -26,8 +28,6 @@ from scenegen.model.completion.stored import (
 )
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Counted, Executor, chunked, counted, unheard
-from scenegen.run.workers import ALONE
 
 PART = 100
 """Samples in a file, which is the unit of work, of writing and of recovery, as a shard is."""

@@ -1,4 +1,5 @@
-"""What a completion is, and the one protocol of everything that completes a map.
+"""What a completion is, the one protocol of everything that completes a map, and the methods without
+learning, which a network has to beat.
 
 A completer sees what one scan tells of a map and says what is there. What it leaves out is derived
 as the paper does for its single-task networks: distances by the transform of the predicted
@@ -9,12 +10,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from scipy import ndimage
 
 from lidarsim.grid import Field, GridSpec, Mask
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
+from scenegen.draw.sample import html_table
 from scenegen.model.calibration import Calibration, StoredProbability, away_of, denial
 from scenegen.model.config import Thresholds
-from scenegen.sample import html_table
 from scenegen.truth import distance_field
 
 
@@ -162,3 +164,57 @@ class MapCompleter(Protocol):
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...
+
+
+UPRIGHT = np.zeros((3, 3, 3), bool)
+UPRIGHT[1, 1] = True
+"""A voxel's neighbours in its column."""
+
+
+class Returns:
+    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as
+    it is."""
+
+    name = "returns"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=observed.astype(np.float32))
+
+
+class Empty:
+    """Free everywhere, every distance at the truncation: how much success needs no map."""
+
+    name = "empty"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=np.zeros(observed.shape, np.float32))
+
+
+class Conservative:
+    """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
+
+    name = "conservative"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=(~free).astype(np.float32))
+
+
+class Extrude:
+    """Returns, extended up and down their columns through unknown voxels until a free one: what a
+    network for pillars has to beat."""
+
+    name = "extrude"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        runs, count = ndimage.label(~free, UPRIGHT)
+        met = np.zeros(count + 1, np.float32)
+        met[runs[observed & ~free]] = 1.0
+        return Prediction(occupancy_probability=met[runs])

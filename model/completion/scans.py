@@ -17,13 +17,10 @@ from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
-from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
-from scenegen.clouds.npz import read_npz
-from scenegen.clouds.write import encode_points
-from scenegen.display.look import Guess, Look
-from scenegen.errors import DatasetError, plural, raised_as
-from scenegen.files import check_ours, make_way, read_bounded, write_whole
-from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.base.errors import DatasetError, plural, raised_as
+from scenegen.base.files import check_ours, make_way, read_bounded, write_whole
+from scenegen.base.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.base.paths import is_log
 from scenegen.logs import LogScan
 from scenegen.logs.log import Log
 from scenegen.logs.read import read_log
@@ -40,7 +37,9 @@ from scenegen.model.completion.stored import (
 )
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
-from scenegen.paths import is_log
+from scenegen.view.look import Guess, Look
+from scenegen.worlds.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
+from scenegen.worlds.clouds.write import encode_points, read_npz
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -270,8 +269,8 @@ def looks_of_completion(path: Path) -> list[Look]:
 
 def draw_completion(path: Path) -> Any:
     """Draw the completion of a scan, see `read_completion`, as a figure of matplotlib."""
-    from scenegen.display.panels import plain
-    from scenegen.display.pictures import draw_sample
+    from scenegen.view.panels import plain
+    from scenegen.view.pictures import draw_sample
 
     look = read_completion(path)
     (guess,) = look.guesses

@@ -11,11 +11,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from scenegen.base.errors import DatasetError, GuardError, printable, raised_as, short
+from scenegen.base.files import open_bounded, whole
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.base.workers import guarded
 from scenegen.dataset.layout import READ_ERRORS, Chunks
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, GuardError, printable, raised_as, short
-from scenegen.files import open_bounded, whole
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import StoredProbability
 from scenegen.model.completion.protocol import (
     PARTS,
@@ -24,7 +25,6 @@ from scenegen.model.completion.protocol import (
     PredictionError,
     check_prediction,
 )
-from scenegen.run.workers import guarded
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from scenegen.errors import DatasetError, ScenegenError, raised_as
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as
 from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
-from scenegen.model.evaluation.statistics import Scale, brief, summarise
+from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.tables import Table, page
 
 

@@ -9,13 +9,13 @@ from lidarsim import GridSpec
 from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
 from lidarsim.voxelization import sort_points
-from scenegen.display.look import Guess, Look, Route
-from scenegen.display.page import page
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.fly.course import Course, flown_again
 from scenegen.fly.loop import Flown
 from scenegen.fly.simulation import Observation, Simulation
 from scenegen.model.robots.mapping import within
+from scenegen.view.look import Guess, Look, Route
+from scenegen.view.page import page
 
 EVERY = 3
 """Periods from picture to picture."""

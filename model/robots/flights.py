@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import Json, check_ours, write_result, write_whole
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as
+from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
+from scenegen.base.files import Json, check_ours, write_result, write_whole
 from scenegen.fly.course import (
     Course,
     Flights,
@@ -34,11 +35,10 @@ from scenegen.fly.suite import (
     part_of,
     track_of,
 )
-from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+from scenegen.model.completion.protocol import Conservative, Extrude, Returns
 from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
-from scenegen.run import Executor, Function, counted, undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of a flight of which a summary has the mean."""
@@ -101,7 +101,7 @@ of its flights."""
 
 def crew_of(execute: Executor, **progress: Any) -> Crew:
     """A crew that works where `execute` says; for `progress`, counted in flights, see
-    `scenegen.run.counted`."""
+    `scenegen.base.executors.counted`."""
 
     def crew(function: Function, courses: Sequence[Any], flights: int) -> Iterator[Any]:
         return counted(

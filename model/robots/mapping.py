@@ -15,14 +15,13 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
-from scenegen.model.completion.protocol import MapCompleter
-from scenegen.model.completion.unlearned import Returns
+from scenegen.model.bench.planner import field_at, refine
+from scenegen.model.bench.trials import RATHER, risk_of
+from scenegen.model.completion.protocol import MapCompleter, Returns
 from scenegen.model.config import PlanConfig, Thresholds
-from scenegen.model.evaluation.planning.measure import RATHER, risk_of
-from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
-from scenegen.truth.search import search
+from scenegen.truth.difficulty import search
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 

@@ -8,11 +8,11 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from scenegen.errors import DatasetError
-from scenegen.files import Json, read_bounded
-from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import Json, read_bounded
+from scenegen.base.limits import MOST_EPOCHS, MOST_LINE_BYTES
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.config import VARIANTS
-from scenegen.model.evaluation.metrics import METRICS
 
 Scalars = dict[str, float]
 """Figures of a step or an epoch, by name."""
@@ -70,7 +70,7 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
 
 def draw_run(folder: Path) -> Any:
     """Draw the curves of a training run's folder; see `draw`. Raises DatasetError."""
-    from scenegen.display.panels import plain
+    from scenegen.view.panels import plain
 
     return draw(read_rows(folder / "metrics.csv"), title=plain(folder.resolve().name))
 

@@ -12,19 +12,19 @@ import torch
 from torch import nn
 
 from lidarsim.grid import Floats
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import chunked
+from scenegen.draw.sample import rng_of
+from scenegen.model.bench.methods import best_of, ious_by_threshold, judged_by
+from scenegen.model.bench.metrics import METRICS, measure
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds, TrainConfig
-from scenegen.model.evaluation.metrics import METRICS, measure
-from scenegen.model.evaluation.thresholds import best_of, ious_by_threshold, judged_by
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
-from scenegen.run import chunked
-from scenegen.sample import rng_of
 
 
 @torch.inference_mode()

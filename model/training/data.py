@@ -15,15 +15,14 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
-from scenegen.dataset.collection import check_together
-from scenegen.dataset.opening import open_data
+from scenegen.base.errors import DatasetError, ScenegenError, short
+from scenegen.dataset.collection import check_together, open_data
 from scenegen.dataset.read import AnyDataset
-from scenegen.errors import DatasetError, ScenegenError, short
-from scenegen.mixture import fraction
+from scenegen.draw.mixture import fraction
+from scenegen.draw.sample import Sample, rng_of
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
-from scenegen.sample import Sample, rng_of
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper, Sensing

@@ -11,11 +11,11 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from lidarsim import GridSpec
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
+from scenegen.base.executors import processor
 from scenegen.model.config import LEVELS
 from scenegen.model.losses import at_least_one
 from scenegen.model.network import prefers_bfloat16
-from scenegen.run.software import processor
 
 FEWEST_CELLS = 32
 """Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""

@@ -16,16 +16,21 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from scenegen.base.errors import (
+    DatasetError,
+    StoppedError,
+    empty_split,
+    is_out_of_memory,
+    raised_as,
+)
+from scenegen.base.executors import commit, installed, software
+from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.parameters import differences
-from scenegen.dataset.recipe_file import mapping_entry
-from scenegen.dataset.sensor_file import sensor_entry
-from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
-from scenegen.files import Json
+from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.training.card import Scalars
@@ -40,7 +45,6 @@ from scenegen.model.training.device import (
     resolve_precision,
 )
 from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
-from scenegen.run.software import commit, installed, software
 
 RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
 """Names of a run's figures, besides metrics, that no term of a loss may have."""

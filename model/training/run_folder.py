@@ -15,10 +15,10 @@ import torch
 from torch import nn
 
 from lidarsim import GridSpec
+from scenegen.base.errors import DatasetError, printable
+from scenegen.base.files import Json, disk_told, read_bounded, remove_drafts, write_whole
+from scenegen.base.limits import MOST_HEADER_BYTES
 from scenegen.dataset.parameters import differences, plain
-from scenegen.errors import DatasetError, printable
-from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
-from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import (
     CheckpointError,
     current_settings,
@@ -230,7 +230,7 @@ class RunFolder:
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
         if drawn < written and self._writes:
             with suppress(ImportError):
-                from scenegen.display.panels import to_bytes
+                from scenegen.view.panels import to_bytes
 
                 write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
 

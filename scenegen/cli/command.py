@@ -16,8 +16,7 @@ from typing import Any, ClassVar, NoReturn, TextIO
 import rich_click as click
 
 from lidarsim.registry import Registry
-from scenegen.cli import stops
-from scenegen.errors import (
+from scenegen.base.errors import (
     ScenegenError,
     StoppedError,
     is_out_of_memory,
@@ -25,6 +24,7 @@ from scenegen.errors import (
     printable,
     told,
 )
+from scenegen.cli import stops
 
 MOST_REPEATED = 1000
 """Characters of a line about words that a user gave: it repeats them."""

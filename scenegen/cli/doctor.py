@@ -13,11 +13,11 @@ from typing import Any
 import rich_click as click
 from click.shell_completion import get_completion_class
 
+from scenegen.base.errors import ScenegenError, printable
+from scenegen.base.files import Json
 from scenegen.cli.options import command, json_option
 from scenegen.cli.show import announce_compilation, flat, say, show_table
 from scenegen.cli.types import Choice
-from scenegen.errors import ScenegenError, printable
-from scenegen.files import Json
 
 LITTLE_GB = 5.0
 """Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
@@ -72,7 +72,7 @@ def examine() -> Json:
     """Examine what of this machine pip cannot tell. `ok` is False if a module does not load, or the
     self-test finds a law broken; the free disk is that of the working folder."""
     from lidarsim.jit import cache_folder, cache_trouble
-    from scenegen.run import cores
+    from scenegen.base.executors import cores
 
     loads = {name.partition(".")[0]: _loads(name) for name in COMPILED}
     test = self_test() if set(loads.values()) == {"loads"} else {"ok": False}
@@ -99,15 +99,15 @@ def _loads(module: str) -> str:
 def self_test() -> Json:
     """Draw samples for two seconds and check their laws: every return lies in an occupied voxel,
     and a sample drawn again is the same to the bit."""
-    from scenegen import draw
-    from scenegen.recipe import preset
-    from scenegen.source import DrawnWorlds
+    from scenegen.draw.draw import draw_unit
+    from scenegen.draw.source import DrawnWorlds
+    from scenegen.worlds.recipe import preset
 
     recipe = preset("pillar")
     source = DrawnWorlds(recipe)
 
     def drawn(unit: int) -> Any:
-        return draw.draw_unit(source, recipe, seed=0, split="train", unit=unit).samples
+        return draw_unit(source, recipe, seed=0, split="train", unit=unit).samples
 
     first = drawn(0)  # compiles, where nothing is cached
     repeatable = [sample.sha256() for sample in first] == [sample.sha256() for sample in drawn(0)]

@@ -10,6 +10,9 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from lidarsim.registry import Registry
+from scenegen.base.errors import AskedError, raised_as
+from scenegen.base.limits import USUAL_IN_SHARD
+from scenegen.base.paths import WORLD_FILES
 from scenegen.cli.options import (
     command,
     difficulty_option,
@@ -40,11 +43,8 @@ from scenegen.cli.show import (
     show_table,
 )
 from scenegen.cli.types import FILE, Choice, DatasetPath, Named, Written, read_range
-from scenegen.errors import AskedError, raised_as
-from scenegen.limits import USUAL_IN_SHARD
-from scenegen.parts import PARTS
-from scenegen.paths import WORLD_FILES
-from scenegen.recipes import KINDS
+from scenegen.draw.parts import PARTS
+from scenegen.worlds.kinds import KINDS
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
@@ -162,9 +162,9 @@ def generate(
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
         announce_compilation()
+    from scenegen.base.workers import keep_memory
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
-    from scenegen.run.workers import keep_memory
 
     keep_memory()
     with raised_as(click.UsageError, of=AskedError):
@@ -207,7 +207,7 @@ def _show_plans(plans: "Plans", tell: Tell) -> None:
         about = {"parameters": plans.datasets[0].manifest.parameters}
     if not tell(rows | about):
         return
-    from scenegen.dataset.recipe_file import recipe_text
+    from scenegen.dataset.parameters import recipe_text
 
     show_table(rows, "would make")
     for plan in plans.datasets:
@@ -231,14 +231,14 @@ def make(
     Args:
         plans: What is made.
         workers: Processes.
-        on: Where the work is done, as `scenegen.run.executor` takes it.
+        on: Where the work is done, as `scenegen.base.executors.executor` takes it.
         force: Replace another dataset in the folder.
         tell: Prints the result as JSON, if that is asked for.
         talk: Show a bar meanwhile.
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
+    from scenegen.base.executors import executor
     from scenegen.dataset.build import build
-    from scenegen.run import executor
 
     plans.open(force=force)
     summaries = []
@@ -303,11 +303,11 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     """Print the preset of a kind of worlds as a recipe, every parameter with its value, for
     `generate --recipe`."""
     from lidarsim import Lidar
+    from scenegen.base.errors import RecipeError
+    from scenegen.base.files import write_result
     from scenegen.dataset.build import recipe_entry
-    from scenegen.dataset.recipe_file import recipe_text
-    from scenegen.errors import RecipeError
-    from scenegen.files import write_result
-    from scenegen.recipe import preset
+    from scenegen.dataset.parameters import recipe_text
+    from scenegen.worlds.recipe import preset
 
     chosen = preset(kind, lidar=lidar)
     if not isinstance(chosen.lidar, Lidar):

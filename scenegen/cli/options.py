@@ -17,6 +17,8 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
+from scenegen.base.executors import EXECUTORS, LOCAL, cores, executor
+from scenegen.base.limits import MOST_WORKERS
 from scenegen.cli.types import (
     FILE,
     Choice,
@@ -28,9 +30,7 @@ from scenegen.cli.types import (
     OutputFolder,
     Written,
 )
-from scenegen.limits import MOST_WORKERS
-from scenegen.recipes import KINDS
-from scenegen.run import EXECUTORS, LOCAL, cores, executor
+from scenegen.worlds.kinds import KINDS
 from scenegen.worlds.mapping import Mapper
 
 if typing.TYPE_CHECKING:
@@ -356,7 +356,7 @@ def flags_given(names: Collection[str]) -> list[str]:
 def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "AnyDataset":
     """The dataset, collection or selection named, fetched where it is not here; with `shown`, a
     download has a bar. Without `partial`, it must be complete."""
-    from scenegen.dataset.opening import open_data
+    from scenegen.dataset.collection import open_data
 
     return open_data(dataset, partial=partial, shown=shown)
 
@@ -375,7 +375,7 @@ def one_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "D
 def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[AnyDataset, ...]":
     """The datasets named, or those under data/ that hold samples. Raises UsageError for none."""
     from scenegen.cli.show import note
-    from scenegen.dataset.opening import open_data
+    from scenegen.dataset.collection import open_data
 
     opened = [open_data(dataset, shown=shown) for dataset in datasets]
     for path in () if opened else sorted(Path("data").glob("*/dataset.json")):

@@ -11,6 +11,7 @@ import rich_click as click
 
 from lidarsim.engines import EngineFactory
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
+from scenegen.base.paths import type_of
 from scenegen.cli.options import (
     WORLD,
     command,
@@ -27,14 +28,13 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_table
 from scenegen.cli.types import Named, Numbers
-from scenegen.display.exchange import Choices
+from scenegen.convert import Choices
 from scenegen.logs import Cruise
-from scenegen.paths import type_of
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
-    from scenegen.files import Json
+    from scenegen.base.files import Json
     from scenegen.worlds.world import AnyWorld
 
 
@@ -68,14 +68,14 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
     """
-    from scenegen.tables import named_lidar
+    from scenegen.worlds.tables import named_lidar
 
     chosen = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
     rows = {name: _facts(sensor) for name, sensor in chosen.items()}
     if out is not None:
-        from scenegen.display.panels import to_bytes
-        from scenegen.display.pictures import draw_patterns
-        from scenegen.files import write_result
+        from scenegen.base.files import write_result
+        from scenegen.view.panels import to_bytes
+        from scenegen.view.pictures import draw_patterns
 
         write_result(out, to_bytes(draw_patterns(chosen), ".png"))
     if as_json:
@@ -193,11 +193,11 @@ def scan(
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if type_of(world) in ("map", "scan", "plan") and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
-    from scenegen.clouds.write import SUFFIXES
+    from scenegen.base.files import check_ours
     from scenegen.dataset.shard import find_engine
-    from scenegen.files import check_ours
-    from scenegen.source import named_world
-    from scenegen.tables import named_lidar, named_noise
+    from scenegen.draw.source import named_world
+    from scenegen.worlds.clouds.write import SUFFIXES
+    from scenegen.worlds.tables import named_lidar, named_noise
 
     out = out or Path("log" if sequence else "scan.ply")
     if not sequence and out.suffix not in SUFFIXES:
@@ -221,9 +221,8 @@ def _write_log(
     out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, talk: bool
 ) -> "Json":
     """Records a log, and gives what is to be said of it."""
-    from scenegen.files import check_free
-    from scenegen.logs.record import cruise_poses, period_s, record
-    from scenegen.logs.write import write_log
+    from scenegen.base.files import check_free
+    from scenegen.logs.record import cruise_poses, period_s, record, write_log
 
     check_free(out)
     corrected = out.suffix != ".mcap"
@@ -264,8 +263,8 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
 
     from lidarsim import cast
     from lidarsim.scan import is_return, mounted
-    from scenegen.clouds.write import write_points
-    from scenegen.draw import scan_world
+    from scenegen.draw.draw import scan_world
+    from scenegen.worlds.clouds.write import write_points
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 

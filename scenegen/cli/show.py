@@ -11,8 +11,8 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.errors import escaped, plural, printable
-from scenegen.run import undone_if_stopped
+from scenegen.base.errors import escaped, plural, printable
+from scenegen.base.executors import undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""

@@ -10,7 +10,7 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
-from scenegen.errors import printable, raised_as
+from scenegen.base.errors import printable, raised_as
 
 MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
@@ -95,8 +95,8 @@ class DatasetPath(Written, click.Path):
 
     def read(self, text: str) -> Path | str:
         """A path, or a name with a scheme, if it can be one."""
+        from scenegen.base.stores import place_of
         from scenegen.dataset.locate import SCHEME, parse
-        from scenegen.stores import place_of
 
         if text.startswith(SCHEME):
             parse(text)
@@ -115,7 +115,7 @@ class OutputFolder(Written, click.Path):
     def read(self, text: str) -> Any:
         """The folder, or the store; none that is named with a scheme, where no such thing is
         written to."""
-        from scenegen.stores import WRITTEN, is_remote, place_of
+        from scenegen.base.stores import WRITTEN, is_remote, place_of
 
         scheme = text.partition("://")[0]
         if is_remote(text) and not (self.stores and scheme == WRITTEN):
@@ -134,8 +134,8 @@ class OutputFile(OutputFolder):
 
     def read(self, text: str) -> Path:
         """The path, if a file may be written there."""
-        from scenegen.errors import DatasetError
-        from scenegen.files import check_ours
+        from scenegen.base.errors import DatasetError
+        from scenegen.base.files import check_ours
 
         path: Path = super().read(text)
         if self.folders and path.is_dir():

@@ -12,8 +12,8 @@ from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
-from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.files import (
+from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
+from scenegen.base.files import (
     check_ours,
     disk_told,
     make_parent,
@@ -21,7 +21,7 @@ from scenegen.files import (
     write_result,
     write_whole,
 )
-from scenegen.limits import (
+from scenegen.base.limits import (
     MOST_ARCHIVE_BYTES,
     MOST_ASSET_BYTES,
     MOST_CELLS,

@@ -12,25 +12,22 @@ from pathlib import Path
 
 from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, whole_number
+from scenegen.base.executors import Counted, Executor, software, undone, unheard
+from scenegen.base.files import writable
+from scenegen.base.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
+from scenegen.base.stores import Place
+from scenegen.base.workers import Local
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
 from scenegen.dataset.manifest import Manifest, schema_of
-from scenegen.dataset.parameters import plain
+from scenegen.dataset.parameters import mapping_entry, noise_entry, plain, sensor_entry
 from scenegen.dataset.placed import write_shard
-from scenegen.dataset.recipe_file import mapping_entry, noise_entry
 from scenegen.dataset.schema import RecipeEntry, SceneEntry
-from scenegen.dataset.sensor_file import sensor_entry
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import BrokenError, DatasetError, raised_as, whole_number
-from scenegen.files import writable
-from scenegen.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
-from scenegen.recipe import Recipe
-from scenegen.run import Counted, Executor, undone, unheard
-from scenegen.run.software import software
-from scenegen.run.workers import Local
-from scenegen.source import Source
-from scenegen.stores import Place
+from scenegen.draw.source import Source
+from scenegen.worlds.recipe import Recipe
 
 NOTE_S = 30.0
 """Seconds after which a run writes down what is finished; of the most shards that there can be,

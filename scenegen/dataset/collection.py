@@ -1,11 +1,27 @@
-"""Several datasets, or some of their samples, read as one."""
+"""Several datasets, or some of their samples, read as one; and what opens any of these by a path.
 
+A *collection* is a folder of datasets: those that its `collection.json` lists, or else all that lie
+in it. A *selection* is a JSON file that names samples of datasets by number, and no copy of them.
+"""
+
+import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import pairwise
+from pathlib import Path, PurePath
+from typing import Annotated, Any, Literal
 
-from scenegen.dataset.read import AnyDataset, Dataset, Piece
-from scenegen.errors import DatasetError, short
-from scenegen.files import sha256_of
+import msgspec
+from msgspec import Meta, Struct
+
+from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, printable, short
+from scenegen.base.files import read_bounded, sha256_of, write_whole
+from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SOURCES
+from scenegen.base.paths import DATA, check_type
+from scenegen.base.stores import is_remote
+from scenegen.dataset.locate import locate
+from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
+from scenegen.dataset.schema import NAME, Digest, SplitName
 
 
 class Collection(AnyDataset):
@@ -116,3 +132,165 @@ def check_together(datasets: Sequence[Dataset]) -> None:
                         f"{dataset.name}: its {split} world {short(scene.file)} is a {before} "
                         f"world of {owner.name}; no world may be in two splits"
                     )
+
+
+COLLECTION = "collection.json"
+SELECTION_SUFFIX = ".json"
+
+Place = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,1000}\Z")]
+"""A folder's path in a file, which may be a stranger's."""
+Paths = Annotated[list[Place], Meta(min_length=1, max_length=MOST_SOURCES)]
+Numbers = list[Annotated[int, Meta(ge=0)]]
+
+
+class CollectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`collection.json`."""
+
+    format: Literal["scenegen-collection"] = "scenegen-collection"
+    version: Literal[1] = 1
+    datasets: Paths
+    """Folders of the datasets, from that of the file on."""
+
+
+class SelectedDataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Samples of one dataset."""
+
+    path: Place
+    """Its folder, from that of the file on, or its name at a store."""
+    digest: Digest
+    samples: dict[SplitName, Numbers]
+    """Numbers of the samples in each split, rising."""
+
+
+class SelectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A selection."""
+
+    format: Literal["scenegen-selection"] = "scenegen-selection"
+    version: Literal[1] = 1
+    chosen_by: str
+    """How the samples were chosen, in words of the command line."""
+    datasets: Annotated[list[SelectedDataset], Meta(min_length=1, max_length=MOST_SOURCES)]
+
+
+Name = str | PurePath
+
+
+def open_data(
+    names: Name | AnyDataset | Sequence[Name | AnyDataset],
+    *,
+    partial: bool = False,
+    checked: bool = False,
+    shown: bool = False,
+) -> AnyDataset:
+    """The dataset, the collection or the selection of a name.
+
+    Args:
+        names: A folder, the file of a selection, ``hf://user/name[@revision]`` or
+            ``s3://bucket/folder``; or a list of these, which are read as one.
+        partial: Whether incomplete datasets are opened, too.
+        checked: Whether all that is read is held against its digests.
+        shown: Whether a download shows how far it has come.
+
+    Raises:
+        DatasetError: There is no such thing, it is damaged, or the datasets do not go together.
+    """
+    if isinstance(names, AnyDataset):
+        return names
+    if not isinstance(names, str | PurePath):
+        opened = [open_data(name, partial=partial, checked=checked, shown=shown) for name in names]
+        return opened[0] if len(opened) == 1 else _joined(opened)
+    check_type(names, *DATA)
+    folder = locate(names, shown=shown)
+    if folder.is_file():
+        return _selection(folder, partial=partial, checked=checked)
+    if (folder / NAME).exists() or is_remote(names):
+        return Dataset(folder, partial=partial, checked=checked)
+    members = members_of(folder)
+    if not members:
+        return Dataset(folder, partial=partial, checked=checked)  # which says what is missing
+    datasets = [Dataset(member, partial=partial, checked=checked) for member in members]
+    return Collection(datasets, str(folder))
+
+
+def load(dataset: Any, split: str = "train") -> Split:
+    """The samples of a split, read when asked for, without a copy in memory.
+
+    Args:
+        dataset: What `open_data` takes: a folder of a dataset or of several, a selection's file,
+            ``hf://user/name[@revision]``, ``s3://bucket/folder``, or a list of these.
+        split: "train", "val" or "test".
+
+    Returns:
+        A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
+        spawned, each of which opens the files for itself; its `describe()` gives names, types,
+        shapes, units and meanings of the fields.
+
+    Raises:
+        DatasetError: There is no such dataset or split, or it is incomplete or damaged.
+    """
+    return open_data(dataset).split(split)
+
+
+def members_of(folder: Path) -> list[Path]:
+    """The folders of the datasets of a collection: those that its file lists, or else all that lie
+    in `folder`. Raises DatasetError."""
+    path = folder / COLLECTION
+    if not path.is_file():
+        return sorted(member.parent for member in folder.glob(f"*/{NAME}"))
+    return [folder / name for name in _decoded(path, CollectionFile).datasets]
+
+
+def write_collection(folder: Path, members: Sequence[str]) -> None:
+    """Have `folder` list its datasets, those in its folders `members`."""
+    document = CollectionFile(datasets=list(members))
+    content = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    write_whole(folder / COLLECTION, content)
+
+
+def name_from(folder: Path, dataset: Path) -> str:
+    """What the file of a selection in `folder` calls a dataset."""
+    return os.path.relpath(dataset, folder)
+
+
+def _joined(opened: Sequence[AnyDataset]) -> Collection:
+    """Several as one."""
+    datasets, chosen = list[Dataset](), {}
+    for one in opened:
+        for number, dataset in enumerate(one.datasets):
+            if isinstance(one, Collection) and number in one.chosen:
+                chosen[len(datasets)] = one.chosen[number]
+            datasets.append(dataset)
+    return Collection(datasets, ", ".join(one.name for one in opened), chosen)
+
+
+def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
+    """The selection in a file. Raises DatasetError."""
+    datasets, chosen = list[Dataset](), {}
+    for number, selected in enumerate(_decoded(path, SelectionFile).datasets):
+        where = selected.path if is_remote(selected.path) else str(path.parent / selected.path)
+        dataset = Dataset(locate(where), partial=partial, checked=checked)
+        if dataset.digest != selected.digest:
+            raise DatasetError(
+                f"{path}: was chosen of a dataset of digest {selected.digest[:8]}…, {where} has "
+                f"{dataset.digest[:8]}…; choose again"
+            )
+        for split in SPLITS:
+            numbers = selected.samples.get(split, [])
+            rising = all(a < b for a, b in pairwise(numbers))
+            if not rising or (numbers and numbers[-1] >= len(dataset.split(split))):
+                raise DatasetError(
+                    f"{path}: datasets[{number}].samples.{split}: expected rising numbers below "
+                    f"{len(dataset.split(split))}"
+                )
+        datasets.append(dataset)
+        chosen[number] = dict(selected.samples)
+    return Collection(datasets, str(path), chosen)
+
+
+def _decoded(path: Path, kind: Any) -> Any:
+    """The JSON in a file, as the schema `kind`. Raises DatasetError."""
+    try:
+        return msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=kind)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        what = "collection's list" if kind is CollectionFile else "dataset, collection or selection"
+        raise DatasetError(f"{path}: is no {what} ({printable(error)[:200]})") from None

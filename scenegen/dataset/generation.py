@@ -11,12 +11,7 @@ from lidarsim import Sensor
 from lidarsim.engines import DEFAULT
 from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.like import plan_like
-from scenegen.dataset.opening import COLLECTION, members_of, open_data, write_collection
-from scenegen.dataset.read import AnyDataset
-from scenegen.dataset.state import Plan
-from scenegen.errors import (
+from scenegen.base.errors import (
     AskedError,
     DatasetError,
     RecipeError,
@@ -25,15 +20,20 @@ from scenegen.errors import (
     short,
     whole_number,
 )
-from scenegen.files import Json, disk_told
-from scenegen.limits import MOST_SAMPLES
-from scenegen.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
-from scenegen.parts import PARTS, resolved
-from scenegen.recipe import Recipe, preset, read_recipe
-from scenegen.recipes import graded
-from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import Place, Store, place_of
-from scenegen.tables import named_lidar
+from scenegen.base.files import Json, disk_told
+from scenegen.base.limits import MOST_SAMPLES
+from scenegen.base.stores import Place, Store, place_of
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.collection import COLLECTION, members_of, open_data, write_collection
+from scenegen.dataset.like import plan_like
+from scenegen.dataset.read import AnyDataset
+from scenegen.dataset.state import Plan
+from scenegen.draw.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
+from scenegen.draw.parts import PARTS, resolved
+from scenegen.draw.source import DrawnWorlds, SceneWorlds, read_scenes
+from scenegen.worlds.kinds import graded
+from scenegen.worlds.recipe import Recipe, preset, read_recipe
+from scenegen.worlds.tables import named_lidar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ def plan_generation(
         engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
         compact: Whether fields that follow from others are left out.
         shard_samples: About how many samples a shard has.
-        parts: Parts of samples that are stored besides, by their names in `scenegen.parts.PARTS`:
+        parts: Parts of samples that are stored besides, by their names in `PARTS`:
             `labels`, "class", "name", "material" or "group"; `normals`, True.
 
     Raises:

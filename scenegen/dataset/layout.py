@@ -19,10 +19,10 @@ import isal.isal_zlib
 import msgspec
 import numpy as np
 
-from scenegen.errors import BrokenError, DatasetError, raised_as, short
-from scenegen.files import open_bounded, sha256_in, size_of
-from scenegen.mirrors import fetch
-from scenegen.sample import DERIVED, FIELDS, Sample, Schema
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, short
+from scenegen.base.files import open_bounded, sha256_in, size_of
+from scenegen.base.mirrors import fetch
+from scenegen.draw.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""

@@ -14,6 +14,9 @@ from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, __version__
+from scenegen.base.errors import BrokenError, DatasetError, GenerationError, raised_as, short
+from scenegen.base.files import Json, real_path
+from scenegen.base.stores import Place
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
 from scenegen.dataset.locate import locate
@@ -23,7 +26,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw import (
+from scenegen.draw.draw import (
     FLIGHT,
     Unit,
     UnitKey,
@@ -32,12 +35,9 @@ from scenegen.draw import (
     scans_from,
     truth_of,
 )
-from scenegen.errors import BrokenError, DatasetError, GenerationError, raised_as, short
-from scenegen.files import Json, real_path
-from scenegen.recipe import Recipe
-from scenegen.source import DrawnWorlds, Source
-from scenegen.stores import Place
+from scenegen.draw.source import DrawnWorlds, Source
 from scenegen.worlds.flight import fly, viewpoints
+from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld
 
 

@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from scenegen.base.errors import DatasetError, StoreError, needs, printable
+from scenegen.base.executors import LOCATED
+from scenegen.base.files import sha256_in
+from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.mirrors import fetch_all, make_mirror, note_files
+from scenegen.base.stores import Store, is_remote
 from scenegen.dataset import manifest
+from scenegen.dataset.parameters import rays_digest
 from scenegen.dataset.schema import NAME, pattern_of
-from scenegen.dataset.sensor_file import rays_digest
-from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import sha256_in
-from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.mirrors import fetch_all, make_mirror, note_files
-from scenegen.run import LOCATED
-from scenegen.stores import Store, is_remote
 
 os.environ.setdefault(
     "HF_HUB_DISABLE_TELEMETRY", "1"
@@ -54,8 +54,8 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
     scheme is looked for.
 
     ``hf://…`` is downloaded: see `download`. Of a store the manifest is, into a mirror (see
-    `scenegen.stores`), where each shard comes to lie when it is first opened, or all of them now,
-    with `whole`. Raises DatasetError and StoreError.
+    `scenegen.base.mirrors`), where each shard comes to lie when it is first opened, or all of them
+    now, with `whole`. Raises DatasetError and StoreError.
     """
     if not is_remote(name):
         return Path(name)

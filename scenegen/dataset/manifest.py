@@ -22,9 +22,32 @@ from msgspec import Struct
 from lidarsim import GridSpec, Sensor
 from lidarsim.noise import STAGES
 from scenegen import SPLITS, __version__
+from scenegen.base.errors import (
+    BrokenError,
+    DatasetError,
+    NewerError,
+    RecipeError,
+    StoreError,
+    printable,
+    raised_as,
+    short,
+)
+from scenegen.base.files import Json, sha256_of, write_whole
+from scenegen.base.limits import (
+    MOST_MANIFEST_BYTES,
+    MOST_RAYS_IN_SAMPLE,
+    MOST_VIEWPOINTS,
+    MOST_VOXELS,
+)
+from scenegen.base.stores import ConflictError, Place, Store, read_at
 from scenegen.dataset.layout import Layout, layout_of
-from scenegen.dataset.parameters import configured
-from scenegen.dataset.recipe_file import noise_entry
+from scenegen.dataset.parameters import (
+    check_sensor_entry,
+    configured,
+    noise_entry,
+    rays_digest,
+    sensor_of,
+)
 from scenegen.dataset.schema import (
     FORMAT,
     NAME,
@@ -35,32 +58,13 @@ from scenegen.dataset.schema import (
     ShardEntry,
     to_json,
 )
-from scenegen.dataset.sensor_file import check_sensor_entry, rays_digest, sensor_of
-from scenegen.errors import (
-    BrokenError,
-    DatasetError,
-    NewerError,
-    RecipeError,
-    StoreError,
-    printable,
-    raised_as,
-    short,
-)
-from scenegen.files import Json, sha256_of, write_whole
-from scenegen.limits import (
-    MOST_MANIFEST_BYTES,
-    MOST_RAYS_IN_SAMPLE,
-    MOST_VIEWPOINTS,
-    MOST_VOXELS,
-)
-from scenegen.parts import PARTS
-from scenegen.recipes import graded, kind_names
-from scenegen.sample import DERIVED, FIELDS, Schema
-from scenegen.stores import ConflictError, Place, Store, read_at
+from scenegen.draw.parts import PARTS
+from scenegen.draw.sample import DERIVED, FIELDS, Schema
+from scenegen.worlds.kinds import graded, kind_names
 from scenegen.worlds.mapping import Known, Mapper, Sensing
 
 if TYPE_CHECKING:  # which import what draws worlds
-    from scenegen.recipe import Recipe
+    from scenegen.worlds.recipe import Recipe
 
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters, which are known before anything is
@@ -205,7 +209,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """What the tables spell out: without a world where the kind is not `is_drawn`, and without
         noise that is not ours. Raises BrokenError."""
         from lidarsim.noise.chain import Noise
-        from scenegen.recipe import make_recipe  # which imports MuJoCo
+        from scenegen.worlds.recipe import make_recipe  # which imports MuJoCo
 
         entry, kind = self.tables, "scene"
         tables: Json = {"flight": entry.flight, "accept": entry.accept, "grid": asdict(self.grid)}

@@ -9,12 +9,12 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import read_bounded, sha256_of, write_whole
+from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
+from scenegen.base.stores import Place, Store
 from scenegen.dataset.schema import ShardEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
-from scenegen.errors import DatasetError
-from scenegen.files import read_bounded, sha256_of, write_whole
-from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import Place, Store
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""

@@ -22,13 +22,13 @@ import numpy as np
 from lidarsim import GridSpec, Sensor, fuse
 from lidarsim.grid import Ints
 from scenegen import SPLITS
+from scenegen.base.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
-from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
-from scenegen.sample import Sample, Samples, Schema, html_table
+from scenegen.draw.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Sensing
 

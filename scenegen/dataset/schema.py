@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from scenegen.files import Json
-from scenegen.limits import (
+from scenegen.base.files import Json
+from scenegen.base.limits import (
     MOST_KIND_NAME,
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
@@ -100,7 +100,7 @@ class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True)
     known: Json | None = None
     """How much must be known of maps of real places; None where no world is one."""
     parts: dict[str, Json] = {}
-    """Parts of samples that were asked for, each with its settings: see `scenegen.parts`."""
+    """Parts of samples that were asked for, each with its settings: see `scenegen.draw.parts`."""
 
 
 class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -19,13 +19,13 @@ import numpy as np
 from lidarsim.grid import Field, Floats, Ints
 from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
-from scenegen.dataset.opening import SelectedDataset, SelectionFile, name_from
+from scenegen.base.errors import DatasetError, ScenegenError, short
+from scenegen.base.executors import chunked
+from scenegen.base.files import read_bounded
+from scenegen.base.workers import run
+from scenegen.dataset.collection import SelectedDataset, SelectionFile, name_from
 from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
-from scenegen.errors import DatasetError, ScenegenError, short
-from scenegen.files import read_bounded
-from scenegen.run import chunked
-from scenegen.run.workers import run
-from scenegen.sample import Sample
+from scenegen.draw.sample import Sample
 from scenegen.truth.difficulty import Difficulty, difficulty
 
 

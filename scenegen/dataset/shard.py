@@ -18,16 +18,16 @@ import numpy as np
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
+from scenegen.base.errors import BrokenError, DatasetError, raised_as
+from scenegen.base.files import sha256_in, sha256_of
+from scenegen.base.stores import Place, create_at
+from scenegen.base.workers import Worker
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.schema import ShardEntry, stem_of
-from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
-from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import sha256_in, sha256_of
-from scenegen.recipe import Recipe
-from scenegen.run.workers import Worker
-from scenegen.sample import DERIVED, FIELDS
-from scenegen.source import Source
-from scenegen.stores import Place, create_at
+from scenegen.draw.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
+from scenegen.draw.sample import DERIVED, FIELDS
+from scenegen.draw.source import Source
+from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1
 """The level of compression: the next one saves a hundredth, the one after takes four times as long

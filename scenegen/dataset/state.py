@@ -13,9 +13,13 @@ from pathlib import Path
 import msgspec
 
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import disk_told, remove_drafts
+from scenegen.base.stores import Place, Store, names_at, read_at, remove_at
+from scenegen.base.workers import run
 from scenegen.dataset import manifest
 from scenegen.dataset.manifest import Manifest, total_digest
-from scenegen.dataset.parameters import differences
+from scenegen.dataset.parameters import RAYS, differences, rays_digest, write_rays
 from scenegen.dataset.placed import (
     find_reports,
     read_notes,
@@ -24,12 +28,7 @@ from scenegen.dataset.placed import (
     write_note,
 )
 from scenegen.dataset.schema import NAME, SHARD_FILE, ShardEntry
-from scenegen.dataset.sensor_file import RAYS, rays_digest, write_rays
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
-from scenegen.errors import DatasetError
-from scenegen.files import disk_told, remove_drafts
-from scenegen.run.workers import run
-from scenegen.stores import Place, Store, names_at, read_at, remove_at
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""

@@ -18,20 +18,20 @@ from lidarsim.parameters import Checked, check, number
 from lidarsim.scan import mounted
 from lidarsim.sensors import RASTER
 from scenegen import __version__
-from scenegen.errors import DatasetError, GenerationError, printable
-from scenegen.files import Json, read_bounded
+from scenegen.base.errors import DatasetError, GenerationError, printable
+from scenegen.base.executors import processor
+from scenegen.base.files import Json, read_bounded
+from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SEED
+from scenegen.draw.source import named_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
-from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SEED
 from scenegen.logs import LogScan
-from scenegen.run.software import processor
-from scenegen.source import named_world
-from scenegen.tables import named_lidar, named_noise
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
+from scenegen.worlds.tables import named_lidar, named_noise
 from scenegen.worlds.world import AnyWorld
 
 FORMAT = 1

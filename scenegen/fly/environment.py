@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium import spaces
 
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.errors import DatasetError, ScenegenError, raised_as, short, whole_number
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as, short, whole_number
 from scenegen.fly.course import Course
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
-from scenegen.tables import check_name, field_names, from_table
+from scenegen.worlds.tables import check_name, field_names, from_table
 
 NAME = "scenegen/Fly-v0"
 MAX_PERIODS = 10

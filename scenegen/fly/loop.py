@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarsim.grid import Floats
 from lidarsim.parameters import number
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.fly import PERIOD_S
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded

@@ -9,11 +9,10 @@ import numpy as np
 
 from lidarsim import GridSpec
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.errors import GenerationError
+from scenegen.base.errors import GenerationError
 from scenegen.fly import Rules, Vehicle
 from scenegen.truth import distance_field
-from scenegen.truth.difficulty import Difficulty, way_difficulty
-from scenegen.truth.search import NO_RISK, search
+from scenegen.truth.difficulty import NO_RISK, Difficulty, search, way_difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 

@@ -16,11 +16,11 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenegen.errors import MOST_REPEATED, printable
+from scenegen.base.errors import MOST_REPEATED, printable
+from scenegen.base.limits import MOST_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
 from scenegen.fly.loop import RobotError
 from scenegen.fly.serve import encoded
 from scenegen.fly.simulation import Observation
-from scenegen.limits import MOST_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
 
 CHUNK = 1 << 16
 KEEPER = str(Path(__file__).with_name("keep.py"))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.registry import Registry
-from scenegen.errors import MOST_REPEATED, told
+from scenegen.base.errors import MOST_REPEATED, told
 
 ROBOTS = Registry(
     "robot",

@@ -13,7 +13,7 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
-from scenegen.draw import in_motion, scan_world
+from scenegen.draw.draw import in_motion, scan_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (

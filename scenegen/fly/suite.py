@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenegen.errors import DatasetError, GenerationError
+from scenegen.base.errors import DatasetError, GenerationError
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.fly.course import Course, Recording, check_document
 

@@ -1,7 +1,7 @@
 """Logs: the scans of one drive or flight, with the pose of the sensor at each.
 
-`record` flies through a world and scans it, and `write` puts the log on disk. `read` reads logs,
-also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of them.
+`record` flies through a world, scans it, and puts the log on disk. `read` reads logs, also of real
+sensors, and `fuse` makes maps of them.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lidarsim.parameters import MIN_RETURN_M, Checked, check, number
-from scenegen.limits import MOST_PLACE_VOXELS
+from scenegen.base.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from numpy.typing import NDArray

@@ -10,8 +10,8 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.pose import chained
-from scenegen.errors import short
-from scenegen.poses import Track, poses_of
+from scenegen.base.errors import short
+from scenegen.worlds.poses import Track, poses_of
 
 STATIC = "_static"
 """How topics of transforms end that hold for ever."""

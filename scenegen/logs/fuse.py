@@ -20,16 +20,23 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
-from scenegen.clouds.npz import encode_npz
-from scenegen.errors import DatasetError, SceneError
-from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
-from scenegen.limits import MOST_PLACE_VOXELS
+from scenegen.base.errors import DatasetError, SceneError
+from scenegen.base.executors import Counted, unheard
+from scenegen.base.files import (
+    check_free,
+    disk_told,
+    make_parent,
+    remove_drafts,
+    sha256_of,
+    write_whole,
+)
+from scenegen.base.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.log import Log
-from scenegen.poses import between
-from scenegen.run import Counted, unheard
 from scenegen.truth.voxels import resample
+from scenegen.worlds.clouds.write import encode_npz
 from scenegen.worlds.place import box_of, encode_map
+from scenegen.worlds.poses import between
 
 THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.clouds import Cloud, check_scan
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.logs import LogScan
 from scenegen.logs.bags import Reader
-from scenegen.poses import UNITS
+from scenegen.worlds.clouds import Cloud, check_scan
+from scenegen.worlds.poses import UNITS
 
 MIN_SPAN, MAX_SPAN = 0.05, 1.5
 """The times of a scan's points span at least and at most this share of the time between scans."""

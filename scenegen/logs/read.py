@@ -12,13 +12,13 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
-from scenegen.clouds import KITTI_FOLDER, READERS, read_cloud, scans_in
-from scenegen.errors import DatasetError, raised_as
+from scenegen.base.errors import DatasetError, raised_as
+from scenegen.base.paths import RECORDINGS, kitti_poses, recordings_in
 from scenegen.logs.bags import Contents, Reader, Recording
 from scenegen.logs.frames import pose_at
 from scenegen.logs.log import Log, make_log, span
-from scenegen.paths import RECORDINGS, kitti_poses, recordings_in
-from scenegen.poses import (
+from scenegen.worlds.clouds import KITTI_FOLDER, READERS, read_cloud, scans_in
+from scenegen.worlds.poses import (
     BEYOND_S,
     MIN_UNIX_S,
     TUM,
@@ -69,7 +69,7 @@ def read_log(
             ``calib.txt`` leads to the sensor. None: the camera for KITTI's own files, else the
             sensor.
         fixed_frame: The frame that poses are in, of those of a recording, see `Links`.
-        columns: Of clouds in a folder, see `scenegen.clouds.read_cloud`.
+        columns: Of clouds in a folder, see `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         DatasetError: There is no log, it is not as it should be, or it can be read in two ways.
@@ -187,7 +187,7 @@ def _read_folder(
         poses_file: A file of poses that the user names.
         beside: Otherwise, that of KITTI's layout.
         poses_of: What the poses are of; None: decided by form and place of the file.
-        columns: See `scenegen.clouds.read_cloud`.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         DatasetError: See `read_log`.

@@ -1,12 +1,17 @@
-"""A log recorded in a world: a long flight as a vehicle makes it, from goal to goal, at an even
-pace, round corners and with a bounded rate of turn; and the scans of a sensor along it, at the
-sensor's own rate."""
+"""Logs recorded in a world, and how logs are written.
+
+A vehicle makes one long flight, from goal to goal, at an even pace, round corners and with a
+bounded rate of turn; a sensor scans along it at its own rate. A log is written in the layout of
+KITTI's odometry benchmark, or as MCAP with ROS 2 messages.
+"""
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from ompl import geometric as og
 
@@ -17,12 +22,102 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from lidarsim.scan import mounted
-from lidarsim.sensors.nonrepetitive import Windowed
-from scenegen.draw import in_motion, scan_world
-from scenegen.errors import GenerationError
+from lidarsim.sensors.spinning import Windowed
+from scenegen.base.errors import GenerationError
+from scenegen.base.executors import Counted, unheard
+from scenegen.base.files import check_free, make_way, whole, whole_folder
+from scenegen.draw.draw import in_motion, scan_world
 from scenegen.logs import Cruise, LogScan
+from scenegen.logs.bags import (
+    CLOUD,
+    TRANSFORMS,
+    Row,
+    points_message,
+    write_messages,
+)
+from scenegen.worlds.clouds.write import encode_points
 from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
 from scenegen.worlds.world import AnyWorld
+
+FRAME, SENSOR = "map", "lidar"
+"""ROS frames: the world's, and the sensor's."""
+CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "Tr"))
+"""A KITTI calibration whose camera is the sensor: poses are the sensor's own."""
+
+
+def write_log(out: Path, scans: Iterable[LogScan], on_done: Counted = unheard) -> dict[str, int]:
+    """Write a log, whole or not at all: a file where `out` ends in .mcap, a folder otherwise.
+
+    A folder holds ``velodyne/000000.bin`` (x, y, z, intensity as float32; intensity is 0 where none
+    is known), ``times.txt``, ``poses.txt`` and ``calib.txt`` as KITTI has them (Geiger et al.
+    2012), in the world's frame, and the same poses as ``poses.tum`` (time, position, quaternion x,
+    y, z, w). A file has PointCloud2 on ``/points``, with `ring`, `t` and `intensity` where known,
+    and the sensor's transforms in the world on ``/tf``. `on_done` is called with 1 for each.
+
+    Returns:
+        How many `scans` and `returns` were written.
+
+    Raises:
+        DatasetError: There is something at `out` already, or the disk refuses.
+    """
+    counts = {"scans": 0, "returns": 0}
+
+    def counted() -> Iterator[LogScan]:
+        for scan in scans:
+            yield scan
+            counts["scans"] += 1
+            counts["returns"] += len(scan.points)
+            on_done(1)
+
+    if out.suffix != ".mcap":
+        with whole_folder(out) as folder:
+            _write_kitti(folder, counted())
+    else:
+        check_free(out)
+        make_way(out)
+        with whole(out) as draft, open(draft, "r+b") as file:
+            write_messages(file, (TRANSFORMS, CLOUD), _rows(counted()))
+    return counts
+
+
+def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
+    tables: dict[str, list[Any]] = {"times.txt": [], "poses.txt": [], "poses.tum": []}
+    (folder / "velodyne").mkdir()
+    (folder / "calib.txt").write_text(CALIBRATION)
+    for number, scan in enumerate(scans):
+        content = encode_points(".bin", scan.points, scan.more.get("intensity"))
+        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
+        w, *vector = scan.pose.quaternion
+        tables["times.txt"].append(scan.time_s)
+        tables["poses.txt"].append(matrix_of(scan.pose)[:3].reshape(-1))
+        tables["poses.tum"].append([scan.time_s, *scan.pose.position, *vector, w])
+    for name, rows in tables.items():
+        np.savetxt(folder / name, rows, "%.12g")
+
+
+def matrix_of(pose: Pose) -> Floats:
+    """The pose as a matrix (4, 4): from the sensor's frame to the world's."""
+    matrix, turn = np.eye(4), np.empty(9)
+    mujoco.mju_quat2Mat(turn, pose.quaternion)
+    matrix[:3, :3], matrix[:3, 3] = turn.reshape(3, 3), pose.position
+    return matrix
+
+
+def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
+    """The messages of each scan."""
+    for number, scan in enumerate(scans):
+        when = round(scan.time_s * 1e9)
+        stamp = dict(zip(("sec", "nanosec"), divmod(when, 10**9), strict=True))
+        transform = {
+            "translation": dict(zip("xyz", scan.pose.position, strict=True)),
+            "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
+        }
+        header = {"stamp": stamp, "frame_id": FRAME}
+        link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
+        sensor_header = {"stamp": stamp, "frame_id": SENSOR}
+        cloud = points_message(scan.points, sensor_header, **scan.more)
+        yield number, when, {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}
+
 
 STEPS = 10
 """Steps from scan to scan in which the heading is followed."""

@@ -13,15 +13,25 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines import DEFAULT
+from scenegen.base.errors import DatasetError, short, whole_number
+from scenegen.base.files import Json, sha256_of
+from scenegen.base.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.dataset.manifest import schema_of
-from scenegen.errors import DatasetError, short, whole_number
-from scenegen.files import Json, sha256_of
-from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.mixture import MIXED, fraction, is_mixed, read_components, seeds
-from scenegen.sample import Sample, Samples, Schema, rng_of
-from scenegen.source import DrawnWorlds
-from scenegen.streams.ahead import Ahead, Slot, Unit, pack, record_type, unpack
-from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
+from scenegen.draw.sample import Sample, Samples, Schema, rng_of
+from scenegen.draw.source import DrawnWorlds
+from scenegen.streams.mixture import (
+    Ahead,
+    Component,
+    Mixture,
+    Slot,
+    Unit,
+    component_of,
+    pack,
+    parts_of,
+    record_type,
+    unpack,
+)
 from scenegen.worlds.mapping import Sensing
 
 KEPT_BYTES = 256 << 20

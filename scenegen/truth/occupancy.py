@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids, local
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids, local
 from scenegen.truth.shapes import distance, moved, touches, within
 from scenegen.truth.triangles import (
     bounds,

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel

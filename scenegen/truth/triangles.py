@@ -4,7 +4,7 @@ crosses one."""
 import math
 
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import joining
+from lidarsim.solids import joining
 
 
 @kernel

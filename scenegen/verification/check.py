@@ -16,13 +16,13 @@ from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fus
 from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
-from lidarsim.solids.shapes import Solids
+from lidarsim.solids import Solids
+from scenegen.base.errors import SceneError, raised_as
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
-from scenegen.errors import SceneError, raised_as
-from scenegen.sample import rng_of
+from scenegen.draw.sample import rng_of
 from scenegen.verification.rays import MapAuditor
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import Place
@@ -57,7 +57,7 @@ class Check:
     the check is left out. What else a check depends on, such as `Manifest.noise`, it
     asks its `Sample.contract` itself."""
     part: bool = False
-    """Whether it examines parts of samples that users ask for, see `scenegen.parts`: without any,
+    """Whether it examines parts of samples, see `scenegen.draw.parts`: without any,
     the check is left out."""
     file: "Callable[[SignedFile, Page], None] | None" = None
     """Looks at the bytes of a shard or of an archive."""

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, printable, raised_as, short
+from scenegen.base.files import names_in, sha256_in, world_digest
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, ShardEntry, stem_of
-from scenegen.errors import DatasetError, printable, raised_as, short
-from scenegen.files import names_in, sha256_in, world_digest
-from scenegen.recipes import find_kind
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import BrokenError, Ledger, Page
+from scenegen.worlds.kinds import find_kind
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:

@@ -10,20 +10,19 @@ from typing import Any
 
 import msgspec
 
+from scenegen.base.errors import DatasetError, raised_as, told
+from scenegen.base.executors import Begun, Counted, Executor, unheard
+from scenegen.base.files import size_of
+from scenegen.base.mirrors import fetch
+from scenegen.base.workers import Limited, Local
+from scenegen.dataset.collection import open_data
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.manifest import Manifest
-from scenegen.dataset.opening import open_data
 from scenegen.dataset.schema import NAME
-from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, raised_as, told
-from scenegen.files import size_of
-from scenegen.mirrors import fetch
-from scenegen.recipe import preset
-from scenegen.run import Begun, Counted, Executor, unheard
-from scenegen.run.workers import Limited, Local
-from scenegen.sample import FIELDS
-from scenegen.source import DrawnWorlds
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.sample import FIELDS
+from scenegen.draw.source import DrawnWorlds
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
@@ -41,6 +40,7 @@ from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
 from scenegen.verification.splits import MOST_TWINS, world_digests
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.verification.viewpoints import CHECKS as OF_VIEWPOINTS
+from scenegen.worlds.recipe import preset
 from scenegen.worlds.world import quiet_mujoco
 
 CHECKS = tuple(

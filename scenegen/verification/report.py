@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from scenegen.errors import BrokenError as BrokenError
-from scenegen.errors import plural
-from scenegen.files import Json
+from scenegen.base.errors import BrokenError as BrokenError
+from scenegen.base.errors import plural
+from scenegen.base.files import Json
 
 TOLD = 3
 """This many faults of one check are written out; the others are counted."""

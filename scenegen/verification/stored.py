@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
+from scenegen.base.errors import BrokenError, raised_as
+from scenegen.base.files import sha256_of
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
-from scenegen.errors import BrokenError, raised_as
-from scenegen.files import sha256_of
-from scenegen.parts import PARTS
+from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
 from scenegen.verification.check import Check, Sample

@@ -12,7 +12,7 @@ painted and metal surfaces vary so much that theirs are round numbers between.
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from scenegen.limits import MOST_CLASSES
+from scenegen.base.limits import MOST_CLASSES
 
 By: TypeAlias = Literal["class", "name", "material", "group"]
 """What decides the class of a geom."""

@@ -9,7 +9,7 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids, joining, local
+from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
 

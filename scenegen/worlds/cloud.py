@@ -18,10 +18,10 @@ from lidarsim.parameters import MIN_RETURN_M, Checked, number
 from lidarsim.pose import Pose, rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import clear
-from scenegen.clouds import Cloud, ReadReport, check_scan, read_cloud
-from scenegen.errors import SceneError
-from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
-from scenegen.poses import has_camera, read_numbers, read_poses
+from scenegen.base.errors import SceneError
+from scenegen.base.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
+from scenegen.worlds.clouds import Cloud, ReadReport, check_scan, read_cloud
+from scenegen.worlds.poses import has_camera, read_numbers, read_poses
 
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
@@ -81,14 +81,14 @@ def map_clouds(
     Every file is read twice, but for a single one: for the map's size, and for what is in it.
 
     Args:
-        files: What `scenegen.clouds.read_cloud` reads.
+        files: What `scenegen.worlds.clouds.read_cloud` reads.
         survey: How it is read, and what is made of it.
         sensor: Where the sensor was, (3,), in the frame and the unit of the points.
         poses: A file with a line for each of `files`: the sensor's position; or its pose, as
-            `scenegen.poses.read_poses` has it, where the points are in the sensor's own frame.
+            `read_poses` has it, where the points are in the sensor's own frame.
         box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
             all points and sensors are.
-        columns: See `scenegen.clouds.read_cloud`.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         SceneError: Nothing says what is free, the map would be too large, or there is no point.

@@ -15,8 +15,8 @@ from lidarsim import Pose
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Vector
 from lidarsim.parameters import MOST_LENGTH_M, check, number
-from scenegen.errors import GenerationError, whole_number
-from scenegen.limits import (
+from scenegen.base.errors import GenerationError, whole_number
+from scenegen.base.limits import (
     LEAST_DRAWN_M,
     MOST_CANDIDATES,
     MOST_DRAWN_M,

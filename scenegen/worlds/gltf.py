@@ -17,9 +17,9 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.errors import BrokenError, short
-from scenegen.files import Json
-from scenegen.limits import MOST_GEOMS
+from scenegen.base.errors import BrokenError, short
+from scenegen.base.files import Json
+from scenegen.base.limits import MOST_GEOMS
 
 QUANTIZED = "KHR_mesh_quantization"
 """Positions as integers. Accessors of integers are read anyway."""

@@ -13,9 +13,9 @@ from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.grid import Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
-from lidarsim.solids.shapes import Solids, local
-from scenegen.errors import GenerationError, RecipeError, short
-from scenegen.limits import MOST_CLASSES
+from lidarsim.solids import Solids, local
+from scenegen.base.errors import GenerationError, RecipeError, short
+from scenegen.base.limits import MOST_CLASSES
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance

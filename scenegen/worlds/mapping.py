@@ -5,9 +5,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lidarsim.fusion import Fusion
+from lidarsim.grid import Fusion
 from lidarsim.parameters import MOST_LENGTH_M, Checked, number
-from scenegen.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
+from scenegen.base.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from lidarsim import GridSpec, Pose, Sensor

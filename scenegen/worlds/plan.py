@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from scenegen.errors import SceneError, raised_as, short
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
+from scenegen.base.errors import SceneError, raised_as, short
+from scenegen.base.files import read_bounded
+from scenegen.base.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
 from scenegen.worlds.cloud import CloudMap, Survey
-from scenegen.worlds.octomap import check_voxel
-from scenegen.worlds.place import box_of
+from scenegen.worlds.place import box_of, check_voxel
 
 ENTRY = re.compile(r"^(\w+):(.*(?:\n\s*-\s.*)*)", re.MULTILINE)
 """A key of the YAML file, and its value: a word, or a list in either style."""

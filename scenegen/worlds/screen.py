@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from xml.parsers import expat
 
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.errors import BrokenError, short
-from scenegen.limits import (
+from scenegen.base.errors import BrokenError, short
+from scenegen.base.limits import (
     MOST_ASKED,
     MOST_ATTRIBUTES,
     MOST_BUILTIN,

@@ -17,9 +17,8 @@ from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
-from lidarsim.solids.model import solids_of, visible_geoms
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids
-from scenegen.errors import SceneError, raised_as, short
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids, solids_of, visible_geoms
+from scenegen.base.errors import SceneError, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing

@@ -24,8 +24,8 @@ from benchmarks.paper.claims import (
     seed_variance,
     waited,
 )
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.report import PAPER
+from scenegen.model.bench.metrics import METRICS
+from scenegen.model.bench.report import PAPER
 
 WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")

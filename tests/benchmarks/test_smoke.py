@@ -9,7 +9,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from scenegen.recipe import preset
+from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 

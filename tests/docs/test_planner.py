@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.model.evaluation.planning.measure import run_trial
+from scenegen.model.bench.trials import run_trial
 from tests.command_line import example
 from tests.model.conftest import make_dataset
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from scenegen.recipes import kind_names
+from scenegen.worlds.kinds import kind_names
 from tests.command_line import ROOT, page
 
 PAGES = [

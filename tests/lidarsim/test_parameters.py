@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from lidarsim.parameters import Bounds, check, number, shown
-from scenegen.recipes.kind import bounds_by_name
+from scenegen.worlds.kinds.kind import bounds_by_name
 from tests.command_line import rows
 
 if TYPE_CHECKING:

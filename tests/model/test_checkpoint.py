@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from scenegen.limits import MOST_HEADER_BYTES
+from scenegen.base.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import (
     CheckpointError,
     load_network,

@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import scenegen
-from scenegen.clouds.write import write_points
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, refused, run
-from tests.scenegen.display.test_page import Seen
+from tests.scenegen.view.test_page import Seen
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
 ROWS = """epoch,train_loss,val_loss,val_iou,val_near_mae,val_new
@@ -63,7 +63,7 @@ def test_a_scan_predictions_and_a_run_are_told(here, capsys):
 
 
 def test_scans_completions_of_them_and_runs_are_drawn(here, capsys, monkeypatch):
-    monkeypatch.setattr("scenegen.display.panels.DPI", 40)
+    monkeypatch.setattr("scenegen.view.panels.DPI", 40)
     for name in ("scan.pcd", "done.h5", "run"):
         assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", ""), name
         assert (here / "x.png").read_bytes().startswith(b"\x89PNG")

@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
+from scenegen.model.bench.methods import Predicted
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import (
     CheckpointError,
     load_network,
@@ -21,11 +23,9 @@ from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import INPUTS, NetworkConfig
-from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.inputs import PointScan, channels
+from tests.model.bench.test_metrics import ALARMS
 from tests.model.conftest import completer_of, saved_network
-from tests.model.evaluation.test_metrics import ALARMS
 from tests.model.training.runs import SMALL, maps_of, train
 
 GRID = GridSpec(shape=(16, 24, 8))

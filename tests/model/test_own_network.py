@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig, TrainConfig

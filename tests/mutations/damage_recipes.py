@@ -4,7 +4,7 @@ import copy
 import dataclasses
 import json
 
-from scenegen.recipe import make_recipe
+from scenegen.worlds.recipe import make_recipe
 from tests.mutations.generated import generated
 from tests.mutations.nasty import nasty, number, spoil
 from tests.mutations.valid import RECIPE, to_toml

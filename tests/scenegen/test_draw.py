@@ -10,9 +10,9 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from lidarsim import MujocoEngine, Pose, cast, voxelize
-from scenegen.errors import GenerationError
-from scenegen.recipe import preset
+from scenegen.base.errors import GenerationError
 from scenegen.truth import rasterize
+from scenegen.worlds.recipe import preset
 from scenegen.worlds.world import compile_world
 from tests.command_line import rows
 from tests.conftest import picky_recipe, small_recipe

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from scenegen import files
-from scenegen.errors import DatasetError
-from scenegen.files import (
+from scenegen.base import files
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import undo_all
+from scenegen.base.files import (
     check_target,
     draft_of,
     make_parent,
@@ -21,7 +22,6 @@ from scenegen.files import (
     whole,
     write_whole,
 )
-from scenegen.run import undo_all
 from tests.scenegen.conftest import names
 
 
@@ -95,7 +95,9 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
 
 def left_behind(folder):
     """The path of a draft of a process that has ended."""
-    code = "import sys; from pathlib import Path; from scenegen.files import draft_of as draft; "
+    code = (
+        "import sys; from pathlib import Path; from scenegen.base.files import draft_of as draft; "
+    )
     words = [sys.executable, "-c", f"{code}print(draft(Path(sys.argv[1])))", str(folder / "a")]
     return Path(subprocess.check_output(words, text=True).strip())
 

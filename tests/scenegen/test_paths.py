@@ -6,9 +6,9 @@ import zipfile
 import pytest
 
 from lidarsim.registry import Registry
-from scenegen.clouds import READERS
-from scenegen.errors import DatasetError
-from scenegen.paths import SCANS, TYPES, check_type, open_path, type_of, what_is
+from scenegen.base.errors import DatasetError
+from scenegen.base.paths import SCANS, TYPES, check_type, open_path, type_of, what_is
+from scenegen.worlds.clouds import READERS
 from tests.command_line import refused
 
 FILES = {

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lidarsim.pose import rotate
-from scenegen.errors import DatasetError
-from scenegen.poses import read_poses
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.poses import read_poses
 
 BEGIN_S = 1_700_000_000
 

@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from scenegen import SPLITS
+from scenegen.base.errors import RecipeError
+from scenegen.base.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES_IN_SHARD, MOST_SEED
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.manifest import encode, parse
 from scenegen.dataset.schema import NAME
-from scenegen.errors import RecipeError
-from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES_IN_SHARD, MOST_SEED
-from scenegen.recipe import make_recipe, preset, read_recipe
-from scenegen.recipes import kind_names
-from scenegen.source import DrawnWorlds
+from scenegen.draw.source import DrawnWorlds
 from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import make_recipe, preset, read_recipe
 from tests.command_line import rows
 
 NASTY = """nasty = [
@@ -138,7 +138,7 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch):
     class Bare(type(preset("pillar").world)):  # type: ignore[misc]
         posts: int
 
-    monkeypatch.setattr("scenegen.recipe.find_kind", lambda name: Bare)
+    monkeypatch.setattr("scenegen.worlds.recipe.find_kind", lambda name: Bare)
     with pytest.raises(RecipeError, match=r"^test: \[world\] posts: is missing"):
         make_recipe("pillar", {}, where="test")
     assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3

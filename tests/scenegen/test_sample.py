@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.dataset.read import Dataset
-from scenegen.sample import GROUPS, Sample
+from scenegen.draw.sample import GROUPS, Sample
 
 
 def test_points_lie_along_the_rays_and_in_observed_voxels(made):

@@ -11,9 +11,9 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, SceneError
 from scenegen.dataset.build import plan_dataset
-from scenegen.errors import DatasetError, SceneError
-from scenegen.source import read_scenes
+from scenegen.draw.source import read_scenes
 from scenegen.worlds.world import write_world
 from tests.command_line import ROOT
 from tests.conftest import THREE, scene_recipe

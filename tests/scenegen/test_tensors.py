@@ -10,9 +10,9 @@ from numpy.testing import assert_array_equal
 
 import scenegen
 from lidarsim import GridSpec, Lidar
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.layout import ShardFile
-from scenegen.errors import DatasetError
-from scenegen.sample import FIELDS, GROUPS, Sample, Samples, Schema
+from scenegen.draw.sample import FIELDS, GROUPS, Sample, Samples, Schema
 from tests.command_line import example
 from tests.conftest import dataset_in, small_recipe
 
@@ -157,7 +157,7 @@ def test_fields_of_several_shapes_are_left_out_by_name():
 def test_what_cannot_be_is_said_in_a_line(samples, monkeypatch):
     with pytest.raises(DatasetError, match=r"no field 'tsdf'; expected observed, free"):
         samples.torch(["tsdf"])
-    for name in ("scenegen.tensors", "torch"):
+    for name in ("scenegen.draw.tensors", "torch"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(DatasetError, match=r"torch\(\) needs torch.*\[train\]"):

@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from tests.conftest import quarter
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, PROCESSORS, made

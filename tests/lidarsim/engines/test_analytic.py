@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine, MujocoEngine
 from lidarsim.engines import analytic
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from tests.lidarsim.engines.test_laws import from_mujoco, model_of, random_model, random_rays
 from tests.lidarsim.reference import unit
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import integrate, special, stats
 
-from lidarsim.noise.chance import AREA, LAYERS, TAIL, _layers, normal, on_circle
+from lidarsim.noise.returns import AREA, LAYERS, TAIL, _layers, normal, on_circle
 
 COUNT = 2_000_000
 LEVEL = 1e-3

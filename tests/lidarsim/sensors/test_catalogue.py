@@ -13,9 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import BeamTable, MujocoEngine, Pose, attach, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
-from lidarsim.sensors.nonrepetitive import Rosette
 from lidarsim.sensors.raster import Pinhole
-from lidarsim.sensors.spinning import Spinning
+from lidarsim.sensors.spinning import Rosette, Spinning
 from tests.command_line import rows
 from tests.lidarsim.engines.test_laws import model_of
 

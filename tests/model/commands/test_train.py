@@ -15,12 +15,12 @@ import torch
 from lidarsim.grid import iou
 from scenegen import __main__ as cli
 from scenegen.cli import stops
-from scenegen.clouds.write import write_points
 from scenegen.dataset.read import Dataset
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig
-from scenegen.model.evaluation.metrics import METRICS
+from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, refused, rows, run
 from tests.model.commands.test_bench import here
 from tests.model.training.runs import elsewhere

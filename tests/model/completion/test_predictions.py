@@ -11,13 +11,13 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
+from scenegen.base.errors import DatasetError
+from scenegen.cli.complete import complete_scans
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
-from scenegen.model.commands.complete import complete_scans
+from scenegen.model.bench.methods import Predicted
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, summary
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.methods import Predicted
 from tests.model.conftest import completer_of
 
 

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec, Pose
 from lidarsim.pose import rotate
-from scenegen.clouds.write import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
+from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.place import FREE
 from tests.command_line import refused, run
 from tests.conftest import hall_in

@@ -10,21 +10,21 @@ import pytest
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.pose import rotate
-from scenegen.errors import GenerationError
+from scenegen.base.errors import GenerationError
+from scenegen.base.executors import undo_all
 from scenegen.fly import Vehicle, missions, suite
 from scenegen.fly.course import Course, read_recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
-from scenegen.model.completion.unlearned import Conservative, Returns
+from scenegen.model.completion.protocol import Conservative, Returns
 from scenegen.model.robots import NAMES, flights, mapping
 from scenegen.model.robots.film import flight_page
 from scenegen.model.robots.flights import ANEW, fly_course, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
-from scenegen.run import undo_all
 from tests.command_line import done, refused, rows, run
 from tests.conftest import hall_in, remembered
-from tests.scenegen.display.test_page import Seen
+from tests.scenegen.view.test_page import Seen
 
 DEAR = ("pessimistic", "extrude")
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import scenegen.model.training.loop
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from lidarsim import Lidar
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.selection import Choice, choose, encode_selection
-from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig

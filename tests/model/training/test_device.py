@@ -13,7 +13,7 @@ from scenegen.model.network import Network
 from scenegen.model.training.device import Group, autocast, resolve_precision
 from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere, maps_of
-from tests.scenegen.run.slurm_here import free_port
+from tests.scenegen.base.slurm_here import free_port
 
 
 def take_a_step(folders, out, environment):

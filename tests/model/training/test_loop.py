@@ -14,10 +14,10 @@ import torch
 
 import scenegen.model.training.loop
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, StoppedError
+from scenegen.base.errors import DatasetError, StoppedError
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import load_network, load_tensors
 from scenegen.model.config import LossConfig, NetworkConfig
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
 from scenegen.model.training.data import LoaderError, opened

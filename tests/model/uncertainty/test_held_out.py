@@ -3,8 +3,8 @@
 import numpy as np
 
 import scenegen
+from scenegen.model.bench.visibility import UNOBSERVED, classify
 from scenegen.model.completion.completer import Completer
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 
 
 def negative_log_likelihood(probability, occupied):

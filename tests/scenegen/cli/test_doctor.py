@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scenegen.cli import doctor
-from scenegen.draw import draw_unit
+from scenegen.draw.draw import draw_unit
 from tests.command_line import run
 
 
@@ -29,7 +29,7 @@ def spoil(monkeypatch, change):
         *others, last = unit.samples
         return dataclasses.replace(unit, samples=(*others, change(len(asked) - 1, last)))
 
-    monkeypatch.setattr("scenegen.draw.draw_unit", spoilt)
+    monkeypatch.setattr("scenegen.draw.draw.draw_unit", spoilt)
     return asked
 
 

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.clouds import read_cloud, scans_in
-from scenegen.clouds.write import write_points
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.clouds import read_cloud, scans_in
+from scenegen.worlds.clouds.write import write_points
 from tests.command_line import rows
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
@@ -157,7 +157,7 @@ def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix,
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("scenegen.clouds.formats.MOST_SCAN_BYTES", 10_000)
+    monkeypatch.setattr("scenegen.worlds.clouds.formats.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
     with pytest.raises(DatasetError, match="10000 at most"):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from scenegen.clouds import read_cloud
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.clouds import read_cloud
 
 RNG = np.random.default_rng(0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.clouds import read_cloud
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.clouds import read_cloud
 from tests.command_line import rows
 
 POINTS = np.random.default_rng(0).uniform(-9, 9, (6, 3)).astype("<f4")

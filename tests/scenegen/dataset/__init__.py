@@ -4,8 +4,8 @@ import functools
 import json
 import operator
 
-from scenegen.files import sha256_of
-from scenegen.sample import GROUPS
+from scenegen.base.files import sha256_of
+from scenegen.draw.sample import GROUPS
 
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
 

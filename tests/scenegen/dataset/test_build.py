@@ -19,6 +19,7 @@ import pytest
 
 from lidarsim import GridSpec
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, GenerationError
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
@@ -28,8 +29,7 @@ from scenegen.dataset.placed import read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import ShardSpec, read_report
-from scenegen.draw import compile_truth
-from scenegen.errors import DatasetError, GenerationError
+from scenegen.draw.draw import compile_truth
 from tests.command_line import rows
 from tests.conftest import DRAWN, THREE, picky_recipe, plan_of, small_recipe, stop_at_val
 from tests.scenegen.conftest import same, wait_for

@@ -10,14 +10,14 @@ import pytest
 import scenegen
 from lidarsim import fuse
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, RecipeError
 from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.collection import COLLECTION, open_data
 from scenegen.dataset.generation import plan_generation, read_components
-from scenegen.dataset.opening import COLLECTION, open_data
-from scenegen.errors import DatasetError, RecipeError
+from scenegen.draw.source import read_scenes
 from scenegen.model.training.data import Maps, SplitSamples
-from scenegen.recipes import kind_names
-from scenegen.source import read_scenes
 from scenegen.verification import verify
+from scenegen.worlds.kinds import kind_names
 from tests.command_line import done, rows
 from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.scenegen.conftest import built

@@ -8,8 +8,8 @@ import trimesh
 from numpy.testing import assert_array_equal
 from PIL import Image
 
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.archive import DOCUMENT, write_extracted
-from scenegen.errors import DatasetError
 from scenegen.worlds.scene import load_scene
 from tests.scenegen.conftest import names
 

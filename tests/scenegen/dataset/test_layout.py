@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
+from scenegen.base.errors import BrokenError, GuardError
+from scenegen.base.workers import guarded
 from scenegen.dataset.layout import Chunks, layout_of, open_shard
-from scenegen.errors import BrokenError, GuardError
-from scenegen.run.workers import guarded
-from scenegen.sample import GROUPS, Schema
+from scenegen.draw.sample import GROUPS, Schema
 from tests.conftest import small_recipe
 
 

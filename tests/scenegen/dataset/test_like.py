@@ -10,13 +10,13 @@ from numpy.testing import assert_array_equal
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
+from scenegen.base.errors import DatasetError, GenerationError
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.like import plan_like
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
-from scenegen.errors import DatasetError, GenerationError
-from scenegen.parts.normals import Normals
-from scenegen.source import read_scenes
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.command_line import done, refused
@@ -176,7 +176,7 @@ def test_what_would_come_out_otherwise_here_is_refused(made, tmp_path, path, val
 
 
 MINE = """from dataclasses import dataclass
-from scenegen.recipes.pillar import Pillar
+from scenegen.worlds.kinds.pillar import Pillar
 @dataclass(frozen=True, kw_only=True)
 class Mine(Pillar):
     version = 3

@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import scenegen
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.layout import ShardFile
-from scenegen.errors import DatasetError
-from scenegen.sample import GROUPS, Sample
+from scenegen.draw.sample import GROUPS, Sample
 
 
 def digest(task):

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from scenegen import load
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
 from tests.conftest import contents
 from tests.scenegen.conftest import names

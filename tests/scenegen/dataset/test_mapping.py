@@ -10,17 +10,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
+from scenegen.base.errors import DatasetError, RecipeError
 from scenegen.dataset.like import scan_again
+from scenegen.dataset.parameters import recipe_text
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.recipe_file import recipe_text
-from scenegen.draw import UnitKey
-from scenegen.errors import DatasetError, RecipeError
-from scenegen.recipe import make_recipe, read_recipe
+from scenegen.draw.draw import UnitKey
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.flight import Route
 from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.recipe import make_recipe, read_recipe
 from tests.command_line import done, refused, rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.scenegen.conftest import drawn_unit

@@ -10,12 +10,12 @@ from numpy.testing import assert_array_equal
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise import VERSION
 from lidarsim.noise.chain import Noise
+from scenegen.base.errors import DatasetError, GenerationError, RecipeError
+from scenegen.dataset.parameters import recipe_text
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.recipe_file import recipe_text
 from scenegen.dataset.schema import NAME, NoiseEntry
-from scenegen.errors import DatasetError, GenerationError, RecipeError
-from scenegen.recipe import preset, read_recipe
 from scenegen.verification import verify
+from scenegen.worlds.recipe import preset, read_recipe
 from tests.command_line import rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.scenegen.conftest import drawn_unit

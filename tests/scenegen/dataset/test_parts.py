@@ -8,12 +8,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
+from scenegen.base.errors import AskedError, RecipeError
 from scenegen.dataset.build import plan_dataset
-from scenegen.errors import AskedError, RecipeError
-from scenegen.parts import PARTS
-from scenegen.parts.normals import Normals
-from scenegen.sample import GROUPS
-from scenegen.source import read_scenes
+from scenegen.draw.parts import PARTS
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.sample import GROUPS
+from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.command_line import done

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from scenegen import SPLITS
-from scenegen.dataset.opening import open_data
+from scenegen.base.errors import DatasetError
+from scenegen.dataset.collection import open_data
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.selection import (
     COLUMNS,
@@ -23,8 +24,7 @@ from scenegen.dataset.selection import (
     kept_measures,
     measures_file,
 )
-from scenegen.display.inspect import inspect
-from scenegen.errors import DatasetError
+from scenegen.view.inspect import inspect
 from tests.command_line import done, refused
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.scenegen.dataset import NASTY, put, samples_of

@@ -13,12 +13,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
+from scenegen.base.errors import BrokenError, DatasetError
+from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.recipe_file import recipe_text
-from scenegen.dataset.sensor_file import RAYS, sensor_entry, sensor_of, write_rays
-from scenegen.errors import BrokenError, DatasetError
-from scenegen.tables import read_toml
 from scenegen.verification import verify
+from scenegen.worlds.tables import read_toml
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
 from tests.scenegen.conftest import built, drawn_unit

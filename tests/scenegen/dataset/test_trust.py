@@ -20,11 +20,11 @@ import pytest
 import scenegen
 from lidarsim import BeamTable, Lidar
 from scenegen import __version__
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
-from scenegen.errors import DatasetError
-from scenegen.parts.normals import Normals
-from scenegen.sample import GROUPS
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.sample import GROUPS
 from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.command_line import rows

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal, assert_equal
 import scenegen
 from lidarsim import Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course
 from tests.command_line import example, rows

@@ -17,8 +17,7 @@ from numpy.testing import assert_allclose, assert_equal
 from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
-from scenegen import recipes
-from scenegen.errors import DatasetError, GenerationError
+from scenegen.base.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, read_recording, replay
 from scenegen.fly.loop import fly, scored
@@ -28,6 +27,7 @@ from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.serve import _answer
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
+from scenegen.worlds import kinds as recipes
 from scenegen.worlds.world import compile_world
 from tests.command_line import rows
 from tests.conftest import hall_in

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.logs.read import read_log
 from tests.command_line import done, refused, run
 from tests.conftest import contents

@@ -15,19 +15,17 @@ import pytest
 import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
-from lidarsim.sensors.catalogue import MID_360
-from scenegen.clouds.write import write_points
-from scenegen.errors import DatasetError
+from lidarsim.sensors.device import MID_360
+from scenegen.base.errors import DatasetError
+from scenegen.draw.source import read_world
 from scenegen.logs import Cruise, Fusing, LogScan
-from scenegen.logs.bags import LIVOX, _of_cloud
+from scenegen.logs.bags import DEFINITIONS, LIVOX, POINT_TYPES, TRANSFORMS, _of_cloud
 from scenegen.logs.frames import Links, pose_at
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log, RawTimes, find_clock
-from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.logs.read import read_log
-from scenegen.logs.record import cruise_poses, record
-from scenegen.logs.write import matrix_of, write_log
-from scenegen.source import read_world
+from scenegen.logs.record import cruise_poses, matrix_of, record, write_log
+from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.place import read_place
 from tests.command_line import done, refused, rows
 from tests.conftest import contents

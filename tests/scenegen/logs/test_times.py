@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import RawTimes, find_clock

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.served import Served
-from scenegen import mirrors, stores
+from scenegen.base import mirrors, stores
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from contextlib import suppress
 import pytest
 
 from scenegen import load
+from scenegen.base.errors import StoreError
+from scenegen.base.stores import Store, _connect
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
-from scenegen.errors import StoreError
-from scenegen.stores import Store, _connect
 from scenegen.verification import verify
 from tests.command_line import SMALL
 from tests.conftest import contents

@@ -5,13 +5,13 @@ import shutil
 
 import pytest
 
+from scenegen.base.errors import StoreError
+from scenegen.base.executors import EXECUTORS
+from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
-from scenegen.errors import StoreError
-from scenegen.run import EXECUTORS
-from scenegen.stores import Store
 from tests.command_line import refused
-from tests.scenegen.run import everywhere
-from tests.scenegen.run.backwards import Bare
+from tests.scenegen.base import everywhere
+from tests.scenegen.base.backwards import Bare
 
 NAME = "s3://lab/d"
 BARE = ("--on", "bare")
@@ -30,7 +30,7 @@ def here(everything, store, tmp_path, monkeypatch):
         (tmp_path / name).symlink_to(everything / name)
     shutil.copytree(everything / "d", store / "lab" / "d")
     everywhere.stand(tmp_path, monkeypatch)
-    monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.run.backwards:Bare")
+    monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.base.backwards:Bare")
     return tmp_path
 
 

@@ -7,11 +7,11 @@ from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.rescan import plan_rescan
 
 from scenegen import load
+from scenegen.base.files import names_in
+from scenegen.base.stores import Store
 from scenegen.dataset import manifest, rules
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
-from scenegen.files import names_in
-from scenegen.stores import Store
 from scenegen.verification import verify
 from tests.conftest import plan_of
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from scenegen import load
+from scenegen.base.errors import BrokenError, DatasetError, StoreError
+from scenegen.base.mirrors import ROOM, fetch, fetch_all, make_mirror, mirror_of, note_files
+from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
-from scenegen.errors import BrokenError, DatasetError, StoreError
-from scenegen.mirrors import ROOM, fetch, fetch_all, make_mirror, mirror_of, note_files
-from scenegen.stores import Store
 from scenegen.verification import verify
 from tests.conftest import contents
 from tests.scenegen.conftest import names

@@ -16,12 +16,13 @@ import pytest
 
 from benchmarks.served import Served, tag_of
 from lidarsim import BeamTable
-from scenegen import load, stores
+from scenegen import load
+from scenegen.base import stores
+from scenegen.base.errors import DatasetError, StoreError
+from scenegen.base.stores import ConflictError, Store, place_of
 from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
-from scenegen.errors import DatasetError, StoreError
-from scenegen.stores import ConflictError, Store, place_of
 from scenegen.verification import verify
 from tests.command_line import done, rows, run
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe

@@ -11,9 +11,9 @@ from torch.utils.data import DataLoader
 import scenegen
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.parts.normals import Normals
-from scenegen.sample import FIELDS, GROUPS
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.sample import FIELDS, GROUPS
+from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
 from scenegen.worlds.labels import labels_by
 from tests.conftest import hall_in, scene_recipe, small_recipe

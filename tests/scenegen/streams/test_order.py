@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import scenegen
-from scenegen.errors import DatasetError
-from scenegen.source import DrawnWorlds
+from scenegen.base.errors import DatasetError
+from scenegen.draw.source import DrawnWorlds
 from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.command_line import rows

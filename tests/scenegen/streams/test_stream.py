@@ -13,12 +13,12 @@ import pytest
 
 import scenegen
 from scenegen import SPLITS
+from scenegen.base.errors import DatasetError, GenerationError, SceneError, ScenegenError
 from scenegen.dataset.build import plan_dataset
-from scenegen.errors import DatasetError, GenerationError, SceneError, ScenegenError
-from scenegen.recipe import preset
-from scenegen.sample import Sample
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.draw.sample import Sample
+from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
+from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
 from tests.scenegen.conftest import built, same

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
+from scenegen.base.errors import GenerationError
 from scenegen.dataset.build import plan_dataset
-from scenegen.errors import GenerationError
-from scenegen.source import read_scenes
+from scenegen.draw.source import read_scenes
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.labels import NONE, SHAPES, class_names, classes_of, labels_by, owners

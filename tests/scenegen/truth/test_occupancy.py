@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from scenegen.truth import rasterize
 from scenegen.truth.occupancy import _fill_surface, inside_columns
 from scenegen.truth.triangles import triangle_touches

@@ -5,8 +5,8 @@ import pytest
 
 from lidarsim import GridSpec, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
-from scenegen.recipe import preset
 from scenegen.truth.voxels import resample
+from scenegen.worlds.recipe import preset
 
 
 @pytest.mark.parametrize("edge_m", [0.2, 0.08, 0.5, 0.3])

@@ -10,14 +10,14 @@ from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.build import build
 from scenegen.dataset.like import plan_like
-from scenegen.dataset.recipe_file import recipe_text
-from scenegen.errors import DatasetError
-from scenegen.recipe import preset
+from scenegen.dataset.parameters import recipe_text
 from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
+from scenegen.worlds.recipe import preset
 from tests.conftest import plan_of, small_recipe
 from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.truth import reference

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from tests.command_line import page, run

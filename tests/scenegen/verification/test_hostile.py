@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from scenegen.errors import BrokenError
-from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.base.errors import BrokenError
+from scenegen.base.limits import MOST_DOCUMENT_BYTES
 from scenegen.worlds.screen import screen
 from tests.command_line import rows
 from tests.scenegen.verification import forge

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from lidarsim import MujocoEngine, Pose
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.schema import NAME
-from scenegen.draw import UnitKey
-from scenegen.errors import DatasetError
-from scenegen.sample import GROUPS
-from scenegen.source import read_scenes
+from scenegen.draw.draw import UnitKey
+from scenegen.draw.sample import GROUPS
+from scenegen.draw.source import read_scenes
 from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.pose import rotate
-from scenegen.clouds.write import write_points
+from scenegen.base.errors import DatasetError, SceneError
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
-from scenegen.display.exchange.glb import encode_world
-from scenegen.errors import DatasetError, SceneError
-from scenegen.source import read_world
+from scenegen.draw.source import read_world
+from scenegen.view.glb import encode_world
 from scenegen.worlds.cloud import Survey, map_clouds
+from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.world import World
 from tests.command_line import done, refused, rows, run
 from tests.scenegen.verification.conftest import failed

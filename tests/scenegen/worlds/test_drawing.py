@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from scenegen.errors import BrokenError
-from scenegen.limits import MOST_OTHERS
-from scenegen.recipe import preset
-from scenegen.recipes import kind_names
+from scenegen.base.errors import BrokenError
+from scenegen.base.limits import MOST_OTHERS
 from scenegen.worlds.drawing import MAX_WRITTEN, Drawing
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import preset
 
 BOUNDS = np.array([[8.0, 8.0, 1.5], [32.0, 32.0, 4.25]])
 SHAPES = [

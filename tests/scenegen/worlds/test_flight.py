@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.pose import rotate
-from lidarsim.solids.model import solids_of
-from scenegen.errors import GenerationError
+from lidarsim.solids import solids_of
+from scenegen.base.errors import GenerationError
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.flight import Flight, fly, viewpoints
 

@@ -10,7 +10,7 @@ import trimesh
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from scenegen.errors import SceneError
+from scenegen.base.errors import SceneError
 from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.world import compile_world

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
-from scenegen.errors import SceneError
-from scenegen.worlds.octomap import parse_octomap
+from scenegen.base.errors import SceneError
+from scenegen.worlds.place import parse_octomap
 from tests.command_line import rows
 
 HALF = 1 << 15

@@ -12,38 +12,37 @@ from scipy.spatial import cKDTree
 import scenegen
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
+from scenegen.base.errors import SceneError
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
-from scenegen.display.look import Guess, look_into
-from scenegen.display.page import packed
-from scenegen.errors import SceneError
+from scenegen.draw.sample import rng_of
+from scenegen.draw.scored import scored_voxels
+from scenegen.model.bench.methods import Truth, find_method
+from scenegen.model.bench.metrics import METRICS, measure
+from scenegen.model.bench.planner import plan_path, refine
+from scenegen.model.bench.report import build_report, tables
+from scenegen.model.bench.run import bench, trials_of
+from scenegen.model.bench.visibility import Case
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, LossConfig, NetworkConfig, TrainConfig
-from scenegen.model.evaluation.methods import Truth, find_method
-from scenegen.model.evaluation.metrics import METRICS, measure
-from scenegen.model.evaluation.planning.astar import plan_path
-from scenegen.model.evaluation.planning.refine import refine
-from scenegen.model.evaluation.report import build_report, tables
-from scenegen.model.evaluation.run import bench, trials_of
-from scenegen.model.evaluation.visibility import Case
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import train
-from scenegen.sample import rng_of
-from scenegen.scored import scored_voxels
-from scenegen.share.stage import Request, stage
+from scenegen.publish.stage import Request, stage
 from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
+from scenegen.view.look import Guess, look_into
+from scenegen.view.page import packed
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, refused, rows, run
-from tests.model.evaluation.test_bench import hits_of
+from tests.model.bench.test_bench import hits_of
 from tests.scenegen.conftest import built
-from tests.scenegen.display.test_page import unpacked
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
+from tests.scenegen.view.test_page import unpacked
 
 RECIPE = """
 kind = "scene"
@@ -213,7 +212,7 @@ def test_of_a_map_more_flights_are_drawn_where_nobody_says_how_many(dataset, tmp
 
 
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenegen.model.evaluation.shown._webp", lambda figure: b"")
+    monkeypatch.setattr("scenegen.model.bench.shown._webp", lambda figure: b"")
     out = tmp_path / "bench"
     words = f"bench {dataset} --quick --split train --workers 1 --method truth --method extrude"
     said = done(capsys, f"{words} -o {out}")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scenegen.errors import SceneError
-from scenegen.source import read_world
+from scenegen.base.errors import SceneError
+from scenegen.draw.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
 from tests.command_line import done, rows, run

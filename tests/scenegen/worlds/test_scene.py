@@ -10,11 +10,11 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-import scenegen.source
+import scenegen.draw.source
 from lidarsim import MujocoEngine
 from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.errors import BrokenError, SceneError
-from scenegen.source import read_scenes
+from scenegen.base.errors import BrokenError, SceneError
+from scenegen.draw.source import read_scenes
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
@@ -237,9 +237,9 @@ def test_what_no_world_can_have_ends_in_one_line(tmp_path, monkeypatch, text, sa
         (tmp_path / f"{name}.bin").write_bytes(content)
     for name in ("pipe.xml", "pipe.stl"):
         os.mkfifo(tmp_path / name)
-    monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
+    monkeypatch.setattr(scenegen.draw.source, "SCENE_BYTES", 1 << 30)
     if said.endswith("allowed"):
-        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 1.0)
+        monkeypatch.setattr(scenegen.draw.source, "SCENE_SECONDS", 1.0)
     with pytest.raises(SceneError, match=r"\.xml: ") as caught:
         read_scenes(write(tmp_path, text), ONE, seed=0)
     assert said in str(caught.value)

@@ -1,0 +1,281 @@
+"""`scenegen take`, `verify` and `publish`: some samples of datasets, datasets held against the format,
+and a verified dataset's folder for the Hugging Face Hub."""
+
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from scenegen import SPLITS
+from scenegen.base.errors import ScenegenError, UndecidedError
+from scenegen.cli.options import (
+    command,
+    dataset_argument,
+    executing,
+    group,
+    kind_option,
+    open_dataset,
+    out_option,
+    printing,
+    seed_option,
+    splits_option,
+    workers_option,
+)
+from scenegen.cli.show import (
+    Progress,
+    Tell,
+    announce_compilation,
+    note,
+    per_split,
+    say,
+    seconds_taken,
+    show_table,
+)
+from scenegen.cli.types import Written, read_ranges
+from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
+from scenegen.publish import USUAL
+
+if TYPE_CHECKING:
+    from scenegen.publish.stage import Staged
+    from scenegen.verification import Report
+
+
+@command(
+    "take data/mixed --kind rooms --n 500 -o rooms.json",
+    "take data/pillar --split train --where 'occupied>=0.05' -o dense.json",
+)
+@dataset_argument
+@splits_option("Samples of this split")
+@click.option(
+    "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
+)
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    metavar="KIND",
+    help="Samples of this kind of worlds alone, such as maze, or maze-hard; repeatable.",
+)
+@click.option(
+    "--worlds",
+    type=Written(read_ranges, "N,FIRST:STOP"),
+    default=(),
+    help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
+)
+@click.option(
+    "--where",
+    multiple=True,
+    type=Written(Condition.of, "NAME>=VALUE"),
+    help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
+    f"{', '.join((*NUMBERS, *MEASURES))}.",
+)
+@out_option("File of the selection.", ".json", required=True)
+@workers_option
+@printing
+@group("Which samples", "split n kind worlds where")
+def take(
+    dataset: Path | str,
+    splits: tuple[str, ...],
+    most: int | None,
+    kinds: tuple[str, ...],
+    worlds: Any,
+    where: Any,
+    out: Path,
+    workers: int,
+    tell: Tell,
+    talk: bool,
+) -> None:
+    """Choose samples of a dataset: of a split, of some worlds, or those that a filter lets through.
+
+    What is written is a list of them, which every command reads as a dataset; samples are not
+    copied.
+    """
+    from scenegen.base.errors import DatasetError
+    from scenegen.base.files import write_result
+    from scenegen.dataset.selection import choose, encode_selection
+
+    chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
+    choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
+    source = open_dataset(dataset, shown=talk, partial=False)
+    numbers = choose(source, choice, workers=workers)
+    counts = {split: len(of_split) for split, of_split in numbers.items()}
+    if not sum(counts.values()):
+        raise DatasetError(
+            f"{source.name}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
+        )
+    write_result(out, encode_selection(source, numbers, choice, out.parent))
+    if tell({"selection": str(out), "samples": counts}):
+        show_table({"selection": out, "samples": per_split(counts)})
+
+
+@command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
+@dataset_argument
+@click.option(
+    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
+)
+@seed_option("Chooses what is audited at random.")
+@kind_option
+@click.option(
+    "--check",
+    "own",
+    multiple=True,
+    metavar="MODULE:OBJECT",
+    help="Also make a check of your own; may be given several times.",
+)
+@executing
+@printing
+def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
+    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
+    check fails, with 3 where none does and flights come out otherwise than other software made
+    them."""
+    if talk:
+        announce_compilation()
+    from scenegen.verification import verify as prove
+
+    begin = time.perf_counter()
+    with Progress("verify", shown=talk) as progress:
+        report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
+    seconds = time.perf_counter() - begin
+    if tell({**report.to_json(), "seconds": seconds}):
+        _show_checks(report, seconds)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
+            f"{', '.join(report.failed)}"
+        )
+    if report.differing:
+        first = next(check for check in report.checks if check.differing)
+        raise UndecidedError(
+            f"verify: no check failed, and {', '.join(report.differing)} cannot tell: "
+            f"{first.detail}; verify with the versions that dataset.json names under software"
+        )
+
+
+def _show_checks(report: "Report", seconds: float) -> None:
+    """Prints a line for each check."""
+    rows, marks = {}, {}
+    for check in report.checks:
+        if not check.ok:
+            marks[check.name] = "FAILED ", "red"
+        elif check.differing:
+            marks[check.name] = "differs", "yellow"
+        else:
+            marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
+        rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
+    show_table(rows, marks=marks)
+    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    if report.ok:
+        skipped = sum(check.skipped for check in report.checks)
+        differing = len(report.differing)
+        passed = len(report.checks) - skipped - differing
+        others = {"differ": differing, "skipped": skipped}
+        parts = [f"{count} {what}" for what, count in others.items() if count]
+        say(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")
+
+
+@command(
+    "publish data/pillar --repo user/pillar --dry-run",
+    "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
+)
+@dataset_argument
+@click.option(
+    "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
+)
+@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option(
+    "--licence",
+    "--license",
+    default=USUAL,
+    help="SPDX name of the data's licence.",
+)
+@out_option("Where the folder goes.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@click.option(
+    "--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody."
+)
+@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
+@kind_option
+@executing
+@printing
+@group("On the Hub", "repo tag licence private")
+def publish(
+    dataset: Path | str,
+    repo: str,
+    tag: str | None,
+    licence: str,
+    out: Path | None,
+    kind: str | None,
+    tell: Tell,
+    talk: bool,
+    **options: Any,
+) -> None:
+    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+
+    Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
+    keeps, or HF_TOKEN.
+    """
+    if talk:
+        announce_compilation()
+    from scenegen.base.executors import check_together
+    from scenegen.base.paths import check_type
+    from scenegen.dataset.locate import locate
+    from scenegen.publish.stage import Request
+    from scenegen.publish.upload import publish as run_publish
+
+    check_type(dataset, "dataset")
+    check_together(options["execute"], "publish takes")
+    request = Request(
+        dataset=locate(dataset, shown=talk, whole=True),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=tag,
+        licence=licence,
+        kind=kind,
+    )
+    with Progress("verify", shown=talk) as progress:
+
+        def report(staged: Any) -> None:
+            progress.stop()
+            if talk:
+                then = "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
+                note(f"Wrote {staged.folder}. {then}")
+
+        staged, commit = run_publish(
+            request,
+            shown=talk,
+            on_start=progress.start,
+            on_done=progress.count,
+            on_staged=report,
+            **options,
+        )
+    size, seconds = sum(staged.files.values()), seconds_taken()
+    sent = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
+    if tell(vars(staged) | sent):
+        _show_staged(staged, commit, size, seconds)
+
+
+def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
+    """Prints what was made, and sent."""
+    from scenegen.dataset.schema import pattern_of
+    from scenegen.publish.upload import IN_COMMIT
+
+    rows = {
+        "folder": staged.folder,
+        "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+        "commits": f"at most {-(-len(staged.files) // IN_COMMIT)}",
+        "revision": f"hf://{staged.repository}@{staged.tag}",
+        "time": f"{seconds:.1f} s",
+    }
+    if commit is None:
+        listed = Counter[str]()
+        for name, size in staged.files.items():
+            listed[pattern_of(name)] += size
+        show_table(
+            {name: f"{size:>15,}" for name, size in listed.items()}, "would be uploaded, in bytes"
+        )
+        show_table(rows | {"next": "the same command without --dry-run"}, "ready")
+    else:
+        rows["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(rows, "published")

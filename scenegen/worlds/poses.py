@@ -1,0 +1,318 @@
+"""Where a sensor was: poses in text files, and poses between those that are known."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from lidarsim import Pose
+from lidarsim.grid import Floats
+from lidarsim.pose import rotate, unit
+from scenegen.base.errors import DatasetError, raised_as, short
+from scenegen.base.files import read_bounded
+from scenegen.base.limits import MOST_ASSET_BYTES, MOST_HEADER_BYTES
+
+BEYOND_S = 0.1
+"""How long before the first pose, or after the last, that pose still holds, seconds."""
+SKEW = 0.01
+"""How far a matrix may be from a rotation, and a quaternion's length from 1: six digits are
+usual."""
+TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""The columns of a TUM file, and of a CSV file that names none."""
+TIME_NAME = re.compile(r"(?:.*\.)?(?:t|time_?stamp|time|stamp|secs?)(?:_(s|ms|us|ns))?")
+FRACTION, FRACTION_NAME = "fraction", re.compile(r"(?:.*[._])?n(?:ano)?secs?")
+"""The nanoseconds that some programs keep apart from whole seconds, in a column of their own."""
+AXIS_NAME = re.compile(
+    r"(?:(?:.*\.)?(?:(q_rs|q|quat|quaternion|rot|rotation|orientation)"
+    r"|p_rs_r|p|t|pos|position|translation)[_.]?)?([xyzw])"
+)
+"""Names of columns in other programs: EuRoC's p_RS_R_x and q_RS_w, tx, pos_x, position.x, q_x …"""
+UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+"""Units of time, seconds."""
+MIN_UNIX_S = 1e9
+"""A time above this (September 2001), and below ten times as much, counts seconds since 1970."""
+MAX_STEP_S = 60.0
+"""The time between scans or poses is at most this (median), seconds."""
+MIN_LEVEL, MAX_TILTED = math.cos(math.radians(30)), math.cos(math.radians(60))
+"""Where quaternions can be taken as w x y z or x y z w, they are of a level sensor in one order if
+the upward axis always has a vertical part above the first, and of a tilted one below the second."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Poses over time."""
+
+    times_s: Floats
+    """(n,), seconds, rising; NaN where no time is known."""
+    poses: Sequence[Pose]
+    """As many."""
+    form: str = ""
+    """How they were read from a file, for people."""
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether all times are known."""
+        return bool(np.isfinite(self.times_s).all())
+
+    def at(self, time_s: float) -> Pose | None:
+        """The pose at a time: positions on a straight line, and attitudes on the shortest arc (as
+        chords), between the two around it. None beyond the first and last by more than
+        `BEYOND_S`."""
+        times = self.times_s
+        if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
+            return None
+        where = float(np.interp(time_s, times, np.arange(len(times))))
+        before = int(where)
+        after = min(before + 1, len(times) - 1)
+        return between(self.poses[before], self.poses[after], where - before)
+
+
+def between(one: Pose, other: Pose, share: float) -> Pose:
+    """The pose that lies `share` of the way from one to the other; beyond them, too."""
+    a, b = one.quaternion, other.quaternion
+    turned = (1 - share) * a + share * (b if a @ b >= 0 else -b)
+    position = (1 - share) * one.position + share * other.position
+    return Pose(position, unit(turned))
+
+
+def inverse(pose: Pose) -> Pose:
+    """The pose of the world in the frame of what stands at `pose`."""
+    return Pose(-rotate(pose.back, pose.position), pose.back)
+
+
+def read_poses(path: Path, *, timed: bool = True) -> Track:
+    """Read the poses of a text file, whose form is determined by its header and content.
+
+    Args:
+        path: Matrices of 3 × 4, row by row, as KITTI writes them; or time, position and quaternion
+            x y z w, as TUM does; or these columns in any order, with others among them, under
+            names in the first line, or in a comment above the first row, as EuRoC writes them.
+            Times are in the unit that the header names, or in one that `to_seconds` determines.
+        timed: Whether times are needed.
+
+    Returns:
+        The poses; the times are NaN for matrices, and if they are not needed.
+
+    Raises:
+        DatasetError: The file has another form, or can be read in two ways. Names the line.
+    """
+    names, rows, comment = _read_table(path)
+    if not names and rows.shape[1] == 12:
+        poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
+        return Track(np.full(len(rows), np.nan), poses, "matrices as KITTI's")
+    if not names and any("q" in name for name, _ in _column_names(comment)):
+        names = comment
+    named = _column_names(names or TUM[: rows.shape[1]])
+    columns = {
+        name: [n for n, (column, _) in enumerate(named) if column == name]
+        for name in (*TUM, FRACTION)
+    }
+    missing = [name for name in TUM if not columns[name]]
+    if missing or (not names and rows.shape[1] != len(TUM)):
+        raise DatasetError(
+            f"{path}: {rows.shape[1]} columns without {', '.join(missing) or 'names'}; expected 12 "
+            f"as in KITTI, or {', '.join(TUM)}; others need their names in the first line"
+        )
+    if twice := [name for name in columns if len(columns[name]) > 1]:
+        raise DatasetError(f"{path}: several columns for {twice[0]}; expected one called so")
+    table = rows[:, [columns[name][0] for name in TUM]]
+    table[:, 0] += 1e-9 * rows[:, columns[FRACTION]].sum(axis=1)
+    _check_finite(table, path)
+    rising = np.diff(table[:, 0]) > 0
+    if not rising.all():
+        n = int(np.argmin(rising)) + 2
+        raise DatasetError(f"{path}: row {n}: expected a time above the one before")
+    if not names:
+        _check_order(table[:, 4:], path)
+    with raised_as(DatasetError):
+        poses = poses_of(table[:, 1:], str(path))
+    if not timed:
+        return Track(np.full(len(rows), np.nan), poses)
+    times_s, unit = to_seconds(
+        table[:, 0], f"{path}: times", next((unit for _, unit in named if unit), "")
+    )
+    form = f"columns {' '.join(name for name, _ in named if name)}, t in {unit}"
+    return Track(times_s, poses, form)
+
+
+def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
+    """For each of a table's columns, its name as in `TUM`, or "" for others, and a time's unit, if
+    it is named. A column that is called as in `TUM` goes before others of that meaning."""
+    plain = list[tuple[str, str]]()
+    for name in names:
+        bare, _, bracket = name.lower().replace(" ", "_").partition("[")
+        bare = bare.strip("_")
+        if time := TIME_NAME.fullmatch(bare):
+            unit = (time[1] or bracket.strip("_]")).replace("us", "µs")
+            plain.append(("t", unit if unit in UNITS else ""))
+        elif FRACTION_NAME.fullmatch(bare):
+            plain.append((FRACTION, ""))
+        elif axis := AXIS_NAME.fullmatch(bare):
+            quaternion = axis[1] or axis[2] == "w"
+            plain.append((f"q{axis[2]}" if quaternion else axis[2], ""))
+        else:
+            plain.append(("", ""))
+    return [
+        ("", "") if alias != name and alias in names else (alias, unit)
+        for name, (alias, unit) in zip(names, plain, strict=True)
+    ]
+
+
+def _check_order(turns: Floats, path: Path) -> None:
+    """Raise DatasetError if quaternions (n, 4) of a file without names are those of a level sensor
+    as w x y z, but not as x y z w, the order in which they are read."""
+    # how far up the sensor's vertical axis points, at least: 1 - 2 (x² + y²)
+    as_read, w_first = ((1 - 2 * (turns[:, n : n + 2] ** 2).sum(axis=1)).min() for n in (0, 1))
+    if as_read < MAX_TILTED and w_first > MIN_LEVEL:
+        raise DatasetError(
+            f"{path}: as x y z w its quaternions tilt the sensor, as w x y z they keep it level; "
+            "name the columns in the first line: t x y z qx qy qz qw, or t x y z qw qx qy qz"
+        )
+
+
+def to_seconds(
+    times: Floats, where: str, unit: str = "", near_s: Floats | None = None
+) -> tuple[Floats, str]:
+    """Determine the unit of rising times.
+
+    Args:
+        times: (n,), in an unknown unit.
+        where: What an error's line begins with.
+        unit: The unit in `UNITS`, if it is known.
+        near_s: Rising times that overlap with these, seconds.
+
+    Returns:
+        The times in seconds, and their unit: that in which they lie between 2001 and 2286, or
+        overlap with those near them, or seconds; if the median step from one to the next is at most
+        `MAX_STEP_S`.
+
+    Raises:
+        DatasetError: The steps are longer than that, so that the unit cannot be determined.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for name, scale in UNITS.items():
+        first, last = times[0] * scale, times[-1] * scale
+        likely = MIN_UNIX_S <= last < 10 * MIN_UNIX_S
+        if near_s is not None:
+            likely |= first <= near_s[-1] and last >= near_s[0]
+        if name == unit or (not unit and likely and step * scale <= MAX_STEP_S):
+            return times * scale, name
+    if step > MAX_STEP_S:
+        raise DatasetError(
+            f"{where} are {step:.6g} apart (median), from {times[0]:.12g} to {times[-1]:.12g}; "
+            "expected seconds, or ms, µs or ns since 1970; else name the unit in a header: t[ns]"
+        )
+    return times, "s"
+
+
+def poses_of(rows: Floats, where: str) -> list[Pose]:
+    """The poses of positions and quaternions x y z w (n, 7). Raises ValueError, naming `where`, for
+    one whose length is not 1."""
+    lengths = np.sqrt((rows[:, 3:] ** 2).sum(axis=1, keepdims=True))
+    wrong = ~(abs(lengths - 1) <= SKEW)
+    if wrong.any():
+        n = int(np.argmax(wrong))
+        raise ValueError(
+            f"{where}: row {n + 1}: expected a quaternion of length 1, not {lengths[n, 0]:g}"
+        )
+    return list(map(Pose, rows[:, :3], np.roll(rows[:, 3:], 1, axis=1) / lengths))
+
+
+def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
+    """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
+    are passed over from # on. Raises DatasetError for anything else."""
+    names, rows, _ = _read_table(path)
+    _check_finite(rows, path)
+    return names, rows
+
+
+def _check_finite(rows: Floats, path: Path) -> None:
+    """Raise DatasetError for a row with a word, NaN or infinity."""
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise DatasetError(f"{path}: row {np.argmin(finite) + 1}: expected finite numbers")
+
+
+def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
+    """What `read_numbers` returns, with NaN for words in columns that have names; and the names in
+    the last comment above the first row, if they are as many as its columns."""
+    text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
+    rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
+    for number, line in enumerate(text.splitlines(), start=1):
+        content, _, after = line.partition("#")
+        words = content.replace(",", " ").split()
+        if not words and not rows:
+            comment = _cells(after) or comment
+        row = list(map(_number, words))
+        finite = all(map(math.isfinite, row))
+        if not (finite or rows or names):
+            names = _cells(content)
+            continue
+        width = len(names) or len((rows or [row])[0])
+        if words and not (len(row) == width and (finite or names)):
+            raise DatasetError(
+                f"{path}: line {number}: {short(line)}: expected {width} finite numbers"
+            )
+        if row:
+            rows.append(row)
+    if not rows:
+        raise DatasetError(f"{path}: holds no numbers")
+    return names, np.array(rows), comment if len(comment) == len(rows[0]) else ()
+
+
+def _number(word: str) -> float:
+    """A word as a number, NaN if it is none."""
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def _cells(line: str) -> tuple[str, ...]:
+    """The names of columns in a line, between commas or spaces, each with its unit in brackets."""
+    joined = re.sub(r"\s*[\[(]\s*([^\])]*?)\s*[\])]", r"[\1]", line)
+    cells = joined.split(",") if "," in joined else joined.split()
+    return tuple(filter(None, map(str.strip, cells)))
+
+
+def pose_of_matrix(row: Floats, where: str) -> Pose:
+    """The pose of a matrix of 3 × 4, row by row (12,). Raises DatasetError, naming `where`, for one
+    that is no rotation."""
+    matrix, turned = row.reshape(3, 4), np.empty(4)
+    turn = matrix[:, :3]
+    skew = abs(turn @ turn.T - np.eye(3)).max()
+    if not skew <= SKEW or np.linalg.det(turn) < 0 or not np.isfinite(row).all():
+        raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
+    mujoco.mju_mat2Quat(turned, np.ascontiguousarray(turn).reshape(-1))
+    return Pose(matrix[:, 3], unit(turned))
+
+
+def read_tr(calibration: Path) -> Floats | None:
+    """Read where the sensor is in the frame of KITTI's camera.
+
+    Args:
+        calibration: A calib.txt.
+
+    Returns:
+        The numbers of its line Tr (12,); None if there is none.
+
+    Raises:
+        DatasetError: The line has others than 12 numbers.
+    """
+    text = read_bounded(calibration, MOST_HEADER_BYTES) if calibration.exists() else b""
+    for line in text.decode("latin-1").splitlines():
+        name, _, numbers = line.partition(":")
+        if name.strip() == "Tr":
+            with raised_as(DatasetError, f"{calibration}: Tr: expected 12 numbers: "):
+                return np.array(numbers.split(), float).reshape(12)
+    return None
+
+
+def has_camera(calibration: Path) -> bool:
+    """Whether a calib.txt of KITTI's has a camera that is not the sensor. Raises as `read_tr`."""
+    row = read_tr(calibration)
+    return row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1))
