@@ -1,5 +1,5 @@
-"""The voxel grid: its shape, its voxel, and the way between world metres and indices; and how several
-scans become one map, the parameters of `lidarsim.fuse`."""
+"""The voxel grid: its shape, its voxel, and the way between world metres and indices; and how
+several scans become one map, the parameters of `lidarsim.fuse`."""
 
 from dataclasses import dataclass
 from typing import Literal

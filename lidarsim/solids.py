@@ -1,5 +1,5 @@
-"""Solids: what stands in a world, as data, with no opinion on how rays or voxels meet it; and those of
-a compiled MuJoCo model, read into one table."""
+"""Solids: what stands in a world, as data, with no opinion on how rays or voxels meet it; and those
+of a compiled MuJoCo model, read into one table."""
 
 import functools
 from dataclasses import dataclass

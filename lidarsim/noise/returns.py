@@ -1,5 +1,5 @@
-"""What stages of noise pass on, what they may ask of the world, how bright a return is; and the random
-numbers that they draw.
+"""What stages of noise pass on, what they may ask of the world, how bright a return is; and the
+random numbers that they draw.
 
 Normal numbers and directions of a circle are made by integers and + - * /, so with the same bits on
 every processor, and at a few nanoseconds each. Each number is made of one word of 64 random bits,

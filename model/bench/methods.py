@@ -1,5 +1,5 @@
-"""What the bench compares, by name: completers, the truth itself, and predictions that somebody else
-made, in an HDF5 file; and the threshold at which the occupancy that a method predicts fits the
+"""What the bench compares, by name: completers, the truth itself, and predictions that somebody
+else made, in an HDF5 file; and the threshold at which the occupancy that a method predicts fits the
 truth best, one rule for the bench and for training."""
 
 import inspect

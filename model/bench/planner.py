@@ -1,5 +1,5 @@
-"""The planner: A* on a lattice of voxel centres gives the shortest path on a collision map; gradient
-descent then smooths it, and pushes it away from obstacles by a distance field."""
+"""The planner: A* on a lattice of voxel centres gives the shortest path on a collision map;
+gradient descent then smooths it, and pushes it away from obstacles by a distance field."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

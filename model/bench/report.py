@@ -1,6 +1,6 @@
-"""The report: both tables, with the paper's figures beside ours, as JSON for machines, and as Markdown
-and one HTML page for people. The page has no script and fetches nothing; texts and names are shown
-as text alone.
+"""The report: both tables, with the paper's figures beside ours, as JSON for machines, and as
+Markdown and one HTML page for people. The page has no script and fetches nothing; texts and names
+are shown as text alone.
 
 Its figures are the means of every metric, and methods compared in pairs.
 """

@@ -1,5 +1,5 @@
-"""What a completion is, the one protocol of everything that completes a map, and the methods without
-learning, which a network has to beat.
+"""What a completion is, the one protocol of everything that completes a map, and the methods
+without learning, which a network has to beat.
 
 A completer sees what one scan tells of a map and says what is there. What it leaves out is derived
 as the paper does for its single-task networks: distances by the transform of the predicted

@@ -1,5 +1,5 @@
-"""`scenegen convert`, `world`, `map` and `ingest`: datasets and worlds for other programs, and point
-clouds and logs of a real sensor as maps to make datasets in."""
+"""`scenegen convert`, `world`, `map` and `ingest`: datasets and worlds for other programs, and
+point clouds and logs of a real sensor as maps to make datasets in."""
 
 import sys
 from pathlib import Path

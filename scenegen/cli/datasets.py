@@ -1,5 +1,5 @@
-"""`scenegen take`, `verify` and `publish`: some samples of datasets, datasets held against the format,
-and a verified dataset's folder for the Hugging Face Hub."""
+"""`scenegen take`, `verify` and `publish`: some samples of datasets, datasets held against the
+format, and a verified dataset's folder for the Hugging Face Hub."""
 
 import time
 from collections import Counter

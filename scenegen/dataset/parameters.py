@@ -1,5 +1,5 @@
-"""Parameters as plain values, in a manifest and in a recipe file: how they are checked and compared;
-the entries of a sensor, of noise and of maps; and a recipe as TOML.
+"""Parameters as plain values, in a manifest and in a recipe file: how they are checked and
+compared; the entries of a sensor, of noise and of maps; and a recipe as TOML.
 
 A sensor in a manifest is a raster's parameters, or the digest of a table of rays, which lies in the
 dataset's folder as `rays.npy`.

@@ -1,5 +1,5 @@
-"""Recordings of ROS, 1 and 2, read without ROS, and MCAP files (mcap.dev) with ROS 2 messages: point
-clouds, and where their frames were."""
+"""Recordings of ROS, 1 and 2, read without ROS, and MCAP files (mcap.dev) with ROS 2 messages:
+point clouds, and where their frames were."""
 
 import struct
 from collections import defaultdict

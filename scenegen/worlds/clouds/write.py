@@ -1,5 +1,6 @@
-"""Points and arrays in files: NumPy's archives, read with bounded memory and written with reproducible
-bytes; and points as .ply and .pcd (binary), .npz, .bin (x y z intensity, float32, as in KITTI)."""
+"""Points and arrays in files: NumPy's archives, read with bounded memory and written with
+reproducible bytes; and points as .ply and .pcd (binary), .npz, .bin (x y z intensity, float32, as
+in KITTI)."""
 
 import io
 import zipfile
