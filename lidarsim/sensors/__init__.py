@@ -63,11 +63,11 @@ CATALOGUE = {
     name: name.partition("-")[2].replace("-", "_").upper()
     for name in re.findall(r"^\[(.+)\]$", TEXT, re.MULTILINE)
 }
-"""Sensors that people have: names, each with its object in `lidarsim.sensors.device`."""
+"""Sensors that people have: names, each with its object in `lidarsim.sensors.catalogue`."""
 
 SENSORS = Registry(
     "sensor",
-    FAMILIES | {name: f"lidarsim.sensors.device:{place}" for name, place in CATALOGUE.items()},
+    FAMILIES | {name: f"lidarsim.sensors.catalogue:{place}" for name, place in CATALOGUE.items()},
     needs={
         "shape": "a tuple of counts, such as (16, 120)",
         "directions_body": "unit vectors (*shape, 3) in the body frame",
@@ -86,5 +86,5 @@ def check_sensor(given: object) -> None:
     if isinstance(given, type) or not hasattr(given, "max_range_m"):
         raise ValueError(
             f"sensor = {shown(given)}: expected an object, such as lidarsim.Lidar() or "
-            f"lidarsim.sensors.device.VLP_16"
+            f"lidarsim.sensors.catalogue.VLP_16"
         )

@@ -1,13 +1,10 @@
-"""Sensors that are sold: what they have in common, a name, a source of their figures, a mount, and
-limits of range; and those of `catalogue.toml`, an object each, under the name that `CATALOGUE`
-gives it, as in ``from lidarsim.sensors.device import VLP_16``."""
+"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits
+of range."""
 
 import dataclasses
 import math
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,18 +20,7 @@ from lidarsim.parameters import (
     number,
 )
 from lidarsim.pose import rotate
-from lidarsim.sensors import CATALOGUE, SENSORS, TEXT
-
-if TYPE_CHECKING:  # else users' checkers know of no such name
-
-    def __getattr__(name: str) -> Any: ...
-
-
-TABLES = tomllib.loads(TEXT)
-
-for name, attribute in CATALOGUE.items():
-    fields = TABLES[name]
-    globals()[attribute] = SENSORS.find(fields.pop("sensor"))(name=name, **fields)
+from lidarsim.sensors import CATALOGUE, SENSORS
 
 ABOUT = ("name", "source", "checked", "error", "noise")
 """Fields that say something of a sensor and change none of its rays."""

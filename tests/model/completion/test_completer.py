@@ -11,7 +11,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec, Lidar
-from lidarsim.sensors.device import OS1_64
+from lidarsim.sensors.catalogue import OS1_64
 from scenegen.dataset.parameters import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, opened_once, unlike

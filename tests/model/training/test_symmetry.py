@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec, Lidar
-from lidarsim.sensors.device import MID_360, OS1_64
+from lidarsim.sensors.catalogue import MID_360, OS1_64
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import turned
 from scenegen.model.training.data import epoch_batches, is_mirrored

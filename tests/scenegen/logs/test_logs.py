@@ -15,7 +15,7 @@ import pytest
 import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
-from lidarsim.sensors.device import MID_360
+from lidarsim.sensors.catalogue import MID_360
 from scenegen.base.errors import DatasetError
 from scenegen.draw.source import read_world
 from scenegen.logs import Cruise, Fusing, LogScan
