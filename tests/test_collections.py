@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.collection import open_data
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
@@ -77,6 +78,14 @@ def test_measures_are_kept_beside_one_dataset(here, capsys):
     before = contents(here / "both")
     assert "few.json" in refused(capsys, "inspect few.json --keep --json")
     assert contents(here / "both") == before
+
+
+def test_a_path_that_no_file_can_have_is_refused(here):
+    selection = json.loads((here / "few.json").read_text())
+    selection["datasets"][0]["path"] = "both/a\0"
+    (here / "odd.json").write_text(json.dumps(selection))
+    with pytest.raises(DatasetError, match="is no dataset"):
+        open_data("odd.json")
 
 
 def test_a_selection_of_a_selection_is_read(here, capsys):

@@ -39,6 +39,8 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     done(f"generate --like {folder}/dataset.json --kind my_worlds:Vineyard -o again --workers 2")
     one, other = (here / name / "dataset.json" for name in (folder, "again"))
     assert one.read_bytes() == other.read_bytes()
+    publish = f"publish {folder} --repo ada/vineyard --dry-run"
+    done(f"{publish} --quick --kind my_worlds:Vineyard --out out")
     assert "world 0, viewpoint" in done(f"my_commands:fill {folder}")
     (here / "my_worlds.py").write_text(
         "raise AssertionError('imported because a manifest names it')"
@@ -49,7 +51,6 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     assert "cannot be drawn again" in regenerated(said)
     assert "21 passed, 1 skipped" in said
     done(f"world {folder} 0")
-    publish = f"publish {folder} --repo ada/vineyard --dry-run"
     ended = shell.scenegen(*publish.split(), here=here)
     assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 

@@ -137,9 +137,9 @@ def check_together(datasets: Sequence[Dataset]) -> None:
 COLLECTION = "collection.json"
 SELECTION_SUFFIX = ".json"
 
-Place = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,1000}\Z")]
-"""A folder's path in a file, which may be a stranger's."""
-Paths = Annotated[list[Place], Meta(min_length=1, max_length=MOST_SOURCES)]
+FilePath = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,4096}\Z")]
+"""Without control characters: the system takes no NUL, and errors are one line."""
+Paths = Annotated[list[FilePath], Meta(min_length=1, max_length=MOST_SOURCES)]
 Numbers = list[Annotated[int, Meta(ge=0)]]
 
 
@@ -155,7 +155,7 @@ class CollectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class SelectedDataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Samples of one dataset."""
 
-    path: Place
+    path: FilePath
     """Its folder, from that of the file on, or its name at a store."""
     digest: Digest
     samples: dict[SplitName, Numbers]

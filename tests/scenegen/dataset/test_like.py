@@ -264,8 +264,6 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
 
 def test_the_command_line_takes_it(noisy, tmp_path, capsys):
     like = f"generate --like {noisy.folder} --workers 1 --quiet"
-    done(capsys, f"{like} -o {tmp_path}/same")
-    assert contents(tmp_path / "same") == contents(noisy.folder)
     done(capsys, f"{like} -o {tmp_path}/clean --noise none --fusion log-odds")
     refused(capsys, f"{like} -o {tmp_path}/no --noise datasheet")
     clean = Dataset(tmp_path / "clean").manifest
