@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from scenegen.worlds.kinds.kind import WorldKind
     from scenegen.worlds.recipe import Recipe, preset
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 GENERATOR = 2
 """Raised whenever the same parameters and seed would give other bits, whatever the kind of worlds.
