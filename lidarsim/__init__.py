@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from lidarsim.engines import Engine
     from lidarsim.engines.analytic import AnalyticEngine
     from lidarsim.engines.mujoco import MujocoEngine
-    from lidarsim.grid import Fusion, GridSpec
+    from lidarsim.fusion import Fusion
+    from lidarsim.grid import GridSpec
     from lidarsim.pose import Pose
     from lidarsim.scan import Scan, cast
     from lidarsim.sensors import Sensor

@@ -4,13 +4,16 @@ of a compiled MuJoCo model, read into one table."""
 import functools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M, MOST_TRIANGLES
+
+if TYPE_CHECKING:
+    import mujoco
 
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 """The codes of MuJoCo's `mjtGeom`."""
@@ -96,12 +99,14 @@ def bounding_boxes(
     return position - reach, position + reach
 
 
-def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solids:
+def solids_of(model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Solids:
     """The solids of `model` in its reference configuration, or in that of `data` where given.
 
     Raises ValueError as `ModelSolids` does.
     """
     if data is None:
+        import mujoco  # which takes long: readers of datasets need no engine
+
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
     return ModelSolids(model).at(data)
@@ -115,7 +120,7 @@ class ModelSolids:
     for numbers that are not finite or beyond `MOST_LENGTH_M`, and for more than `MOST_TRIANGLES`.
     """
 
-    def __init__(self, model: mujoco.MjModel):
+    def __init__(self, model: "mujoco.MjModel"):
         self._model = model
         self._seen = visible_geoms(model)
         _check_shapes(model, self._seen)
@@ -138,7 +143,7 @@ class ModelSolids:
         self._triangles = np.empty((int(self._start[-1]), 3, 3))
         self._placed = np.full((len(self._bent), 12), np.nan)
 
-    def at(self, data: mujoco.MjData) -> Solids:
+    def at(self, data: "mujoco.MjData") -> Solids:
         """The solids where `data` has them; triangles are computed anew for geoms that moved since
         the last call.
 
@@ -184,7 +189,7 @@ class ModelSolids:
         )
 
 
-def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def check_forwarded(model: "mujoco.MjModel", data: "mujoco.MjData") -> None:
     """Raise ValueError for data in which no geom has a place yet, and which would show an empty
     world."""
     if model.ngeom and not data.geom_xmat[0].any():  # no rotation is all zeros
@@ -194,13 +199,13 @@ def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         )
 
 
-def visible_geoms(model: mujoco.MjModel) -> Mask:
+def visible_geoms(model: "mujoco.MjModel") -> Mask:
     """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one,
     has alpha above 0."""
     return colours(model)[:, 3] != 0
 
 
-def colours(model: mujoco.MjModel) -> Floats:
+def colours(model: "mujoco.MjModel") -> Floats:
     """Red, green, blue and alpha (ngeom, 4) of every geom: its material's, or its own without
     one."""
     found = model.geom_rgba.astype(np.float64)
@@ -209,7 +214,7 @@ def colours(model: mujoco.MjModel) -> Floats:
     return found
 
 
-def _check_numbers(model: mujoco.MjModel, what: str, values: Floats, seen: Mask) -> None:
+def _check_numbers(model: "mujoco.MjModel", what: str, values: Floats, seen: Mask) -> None:
     """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large: geoms
     that are nowhere, or too far away."""
     odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
@@ -220,7 +225,7 @@ def _check_numbers(model: mujoco.MjModel, what: str, values: Floats, seen: Mask)
         )
 
 
-def _check_shapes(model: mujoco.MjModel, seen: Mask) -> None:
+def _check_shapes(model: "mujoco.MjModel", seen: Mask) -> None:
     """Raise ValueError for what no kernel may see. Kernels index by these numbers, unchecked."""
     odd = seen & (model.geom_type > MESH)
     if odd.any():
@@ -248,13 +253,13 @@ def _check_shapes(model: mujoco.MjModel, seen: Mask) -> None:
         )
 
 
-def _name(model: mujoco.MjModel, chosen: Mask) -> str:
+def _name(model: "mujoco.MjModel", chosen: Mask) -> str:
     """The name of the first of the `chosen` geoms, or its number where it has none."""
     first = int(np.argmax(chosen))
     return model.geom(first).name or f"number {first}"
 
 
-def mesh_surface(model: mujoco.MjModel, mesh: int) -> tuple[Floats, Ints, bool]:
+def mesh_surface(model: "mujoco.MjModel", mesh: int) -> tuple[Floats, Ints, bool]:
     """Vertices, faces (outward where closed) and whether the mesh is closed."""
     import trimesh  # takes a second to load, and few worlds hold a mesh
 
@@ -280,7 +285,7 @@ def _is_closed(faces: Ints) -> bool:
     return bool(np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail)))
 
 
-def height_field(model: mujoco.MjModel, field: int) -> tuple[Floats, Ints, bool]:
+def height_field(model: "mujoco.MjModel", field: int) -> tuple[Floats, Ints, bool]:
     """MuJoCo's surface (each cell cut along the diagonal from its least x and y to its greatest),
     walls, and base."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])

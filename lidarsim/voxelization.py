@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from lidarsim.elementary import log
 from lidarsim.engines.voxels import enter, slab
-from lidarsim.grid import Floats, Fusion, GridSpec, Mask, finite
+from lidarsim.fusion import Fusion
+from lidarsim.grid import Floats, GridSpec, Mask, finite
 from lidarsim.jit import kernel
 from lidarsim.parameters import shown
 from lidarsim.scan import Scan

@@ -16,7 +16,8 @@ from scenegen.cli.command import Commands, run_command
 COMMANDS = {
     "Datasets": {
         "scenegen.cli.generate": "generate recipe",
-        "scenegen.cli.datasets": "take verify publish",
+        "scenegen.cli.take": "take",
+        "scenegen.cli.datasets": "verify publish",
         "scenegen.cli.convert": "convert world map ingest",
     },
     "Sensors": {"scenegen.cli.scan": "sensors scan"},

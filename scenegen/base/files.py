@@ -72,12 +72,13 @@ def size_of(file: BufferedReader) -> int:
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
-    """The content of a regular file of at most `most_bytes` bytes, however it grows meanwhile.
-    Raises as `open_bounded`."""
+    """The content of a regular file of at most `most_bytes` bytes. Raises as `open_bounded`, and
+    where the file grows meanwhile."""
     with open_bounded(path, most_bytes) as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise DatasetError(f"{path}: more than {most_bytes} bytes; give a smaller file")
+        size = size_of(file)
+        content = file.read(size + 1)  # room for its size alone: `most_bytes` may be any number
+    if len(content) > size:
+        raise DatasetError(f"{path}: grows while it is read; wait until it is written")
     return content
 
 

@@ -149,7 +149,7 @@ TYPES = {
         form="an .h5 file, or a folder with predictions.json",
         test=lambda path: ends(".h5")(path) or holds("predictions.json")(path),
         opens="scenegen.model.bench.methods:Predicted",
-        facts="scenegen.model.completion.predictions:prediction_facts",
+        facts="scenegen.model.completion.stored:prediction_facts",
         draws="scenegen.model.completion.scans:draw_completion",
         shows="scenegen.model.completion.scans:looks_of_completion",
     ),

@@ -76,6 +76,9 @@ def sent(
 
     def there(task: bytes) -> Outcome:
         try:
+            # `there` is sent by value: what it names, it imports
+            from scenegen.base.ray import received
+
             return received(task, *command)
         except ImportError as error:
             from socket import gethostname

@@ -1,5 +1,5 @@
-"""`scenegen take`, `verify` and `publish`: some samples of datasets, datasets held against the
-format, and a verified dataset's folder for the Hugging Face Hub."""
+"""`scenegen verify` and `publish`: a dataset held against the format, and a verified dataset's folder
+for the Hugging Face Hub."""
 
 import time
 from collections import Counter
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen import SPLITS
 from scenegen.base.errors import ScenegenError, UndecidedError
 from scenegen.cli.options import (
     command,
@@ -16,98 +15,24 @@ from scenegen.cli.options import (
     executing,
     group,
     kind_option,
-    open_dataset,
     out_option,
     printing,
     seed_option,
-    splits_option,
-    workers_option,
 )
 from scenegen.cli.show import (
     Progress,
     Tell,
     announce_compilation,
     note,
-    per_split,
     say,
     seconds_taken,
     show_table,
 )
-from scenegen.cli.types import Written, read_ranges
-from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
 from scenegen.publish import USUAL
 
 if TYPE_CHECKING:
     from scenegen.publish.stage import Staged
     from scenegen.verification import Report
-
-
-@command(
-    "take data/mixed --kind rooms --n 500 -o rooms.json",
-    "take data/pillar --split train --where 'occupied>=0.05' -o dense.json",
-)
-@dataset_argument
-@splits_option("Samples of this split")
-@click.option(
-    "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
-)
-@click.option(
-    "--kind",
-    "kinds",
-    multiple=True,
-    metavar="KIND",
-    help="Samples of this kind of worlds alone, such as maze, or maze-hard; repeatable.",
-)
-@click.option(
-    "--worlds",
-    type=Written(read_ranges, "N,FIRST:STOP"),
-    default=(),
-    help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
-)
-@click.option(
-    "--where",
-    multiple=True,
-    type=Written(Condition.of, "NAME>=VALUE"),
-    help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
-    f"{', '.join((*NUMBERS, *MEASURES))}.",
-)
-@out_option("File of the selection.", ".json", required=True)
-@workers_option
-@printing
-@group("Which samples", "split n kind worlds where")
-def take(
-    dataset: Path | str,
-    splits: tuple[str, ...],
-    most: int | None,
-    kinds: tuple[str, ...],
-    worlds: Any,
-    where: Any,
-    out: Path,
-    workers: int,
-    tell: Tell,
-    talk: bool,
-) -> None:
-    """Choose samples of a dataset: of a split, of some worlds, or those that a filter lets through.
-
-    What is written is a list of them, which every command reads as a dataset; samples are not
-    copied.
-    """
-    from scenegen.base.errors import DatasetError
-    from scenegen.base.files import write_result
-    from scenegen.dataset.selection import choose, encode_selection
-
-    chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
-    choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
-    source = open_dataset(dataset, shown=talk, partial=False)
-    numbers = choose(source, choice, workers=workers)
-    counts = {split: len(of_split) for split, of_split in numbers.items()}
-    if not sum(counts.values()):
-        raise DatasetError(
-            f"{source.name}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
-        )
-    write_result(out, encode_selection(source, numbers, choice, out.parent))
-    if tell({"selection": str(out), "samples": counts}):
-        show_table({"selection": out, "samples": per_split(counts)})
 
 
 @command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")

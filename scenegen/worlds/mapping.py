@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lidarsim.grid import Fusion
+from lidarsim.fusion import Fusion
 from lidarsim.parameters import MOST_LENGTH_M, Checked, number
 from scenegen.base.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 

@@ -1,0 +1,38 @@
+"""How several scans become one map: the parameters of `lidarsim.fuse`, which commands read
+without numpy."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from lidarsim.parameters import check, number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fusion:
+    """A rule by which scans are fused.
+
+    The log-odds are OctoMap's, with its defaults (Hornung et al. 2013, Autonomous Robots 34,
+    189–206); they say nothing where `fusion` is "visibility".
+    """
+
+    fusion: Literal["visibility", "log-odds"] = "visibility"
+    """How scans make one map: "visibility", by which any return in a voxel makes it observed, or
+    "log-odds"."""
+    hit: float = number(0.7, above=0.5, below=1)
+    """With log-odds: the probability that a voxel is occupied where a scan has a return in it."""
+    miss: float = number(0.4, above=0, below=0.5)
+    """With log-odds: the probability that a voxel is occupied where a scan's rays cross it, and
+    none returns."""
+    least: float = number(0.1192, above=0, below=0.5)
+    """With log-odds: the least probability that is kept; below it, a voxel would take long to
+    change."""
+    most: float = number(0.971, above=0.5, below=1)
+    """With log-odds: the greatest probability that is kept; log-odds of -2 and 3.5 are the paper's
+    bounds."""
+    occupied: float = number(0.5, least=0.5, below=1)
+    """With log-odds: the probability from which on a voxel is observed, and not free."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.occupied > self.most:
+            raise ValueError(f"occupied = {self.occupied}: expected at most `most`, {self.most}")
