@@ -1,5 +1,5 @@
-"""`scenegen verify` and `publish`: a dataset held against the format, and a verified dataset's folder
-for the Hugging Face Hub."""
+"""`scenegen verify` and `publish`: a dataset held against the format, and its folder for the Hub of
+Hugging Face."""
 
 import time
 from collections import Counter
