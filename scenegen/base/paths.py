@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 from lidarsim.registry import Registry
 from scenegen.base.errors import DatasetError
+from scenegen.base.limits import MOST_MANIFEST_BYTES
 
 MAPS = (".bt", ".ot", ".npz")
 """Endings of maps of real places; an .npz file may be a scan, too."""
@@ -79,6 +80,18 @@ def begins(ending: str, pattern: str) -> Test:
     return test
 
 
+def names(ending: str, word: str) -> Test:
+    """A test for files by the end of their names and a string of JSON that they hold, anywhere:
+    other programs write keys in another order."""
+
+    def test(path: Path) -> bool:
+        is_read = path.suffix == ending and path.is_file()  # a pipe would never end
+        is_read = is_read and path.stat().st_size <= MOST_MANIFEST_BYTES
+        return is_read and f'"{word}"'.encode() in path.read_bytes()
+
+    return test
+
+
 def is_map(path: Path) -> bool:
     """Whether a file is a map of a real place: by its name, and an .npz file, which may be a scan,
     by what it holds."""
@@ -133,7 +146,7 @@ TYPES = {
     ),
     "selection": PathType(
         form="a .json file of `scenegen take`",
-        test=begins(".json", r'\s*\{\s*"format":\s*"scenegen-selection"'),
+        test=names(".json", "scenegen-selection"),
         opens="scenegen.dataset.collection:open_data",
         facts="scenegen.view.inspect:inspect_path",
         shows="scenegen.view.look:looks_of_dataset",

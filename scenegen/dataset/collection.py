@@ -208,6 +208,11 @@ def open_data(
     members = members_of(folder)
     if not members:
         return Dataset(folder, partial=partial, checked=checked)  # which says what is missing
+    for member in members:
+        if not (member / NAME).exists():
+            raise DatasetError(
+                f"{folder}: incomplete, {member} is no dataset; give the command that made it again"
+            )
     datasets = [Dataset(member, partial=partial, checked=checked) for member in members]
     return Collection(datasets, str(folder))
 
@@ -284,6 +289,8 @@ def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
                 )
         datasets.append(dataset)
         chosen[number] = dict(selected.samples)
+    if not any(any(samples.values()) for samples in chosen.values()):
+        raise DatasetError(f"{path}: chooses no sample; choose again with `scenegen take`")
     return Collection(datasets, str(path), chosen)
 
 
