@@ -16,6 +16,7 @@ from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR, __version__
 from scenegen.base.errors import BrokenError, DatasetError, GenerationError, raised_as, short
 from scenegen.base.files import Json, real_path
+from scenegen.base.paths import check_type, type_of
 from scenegen.base.stores import Place
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
@@ -23,7 +24,7 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.schema import to_json
+from scenegen.dataset.schema import NAME, to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw.draw import (
@@ -196,6 +197,8 @@ def plan_like(
     """
     path = locate(name)
     is_file = path.is_file()
+    if type_of(path) not in (None, "dataset") and path.name != NAME:
+        check_type(path, "dataset")
     original = _manifest_of(path, kind)
     folder_of_original = path.parent if is_file else path
     if real_path(folder) == real_path(folder_of_original):
