@@ -1,4 +1,4 @@
-"""Rays through MuJoCo's own ray caster, `mj_multiRay`."""
+"""Ray casting by MuJoCo's own `mj_multiRay`."""
 
 import copy
 from typing import Self
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lidarsim.grid import Floats, rays_of
 from lidarsim.solids import check_forwarded, visible_geoms
 
-NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+NEAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within
 range."""
 SPARE_M = 1e-6
@@ -41,7 +41,15 @@ class MujocoEngine:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
-        """See `lidarsim.engines.Engine.of`."""
+        """See `lidarsim.engines.Engine.of`.
+
+        Args:
+            model: The world.
+            data: Where bodies are.
+
+        Returns:
+            The engine; a later change of `data` is seen by the next cast.
+        """
         if data is None:
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
@@ -49,8 +57,14 @@ class MujocoEngine:
         return cls(model, data)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
-        forwarded, or hold places that are no numbers."""
+        """See `lidarsim.engines.Caster.cast`.
+
+        Returns:
+            (P, *shape), metres.
+
+        Raises:
+            ValueError: If data were never forwarded, or arrays have wrong shapes.
+        """
         starts, vectors = rays_of(origins, directions, max_range_m)
         check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], np.float64)
@@ -76,7 +90,7 @@ class MujocoEngine:
                 self._data,
                 origin,
                 vectors[p].reshape(-1),
-                NEAR_ALONE,
+                NEAR_GROUPS,
                 True,  # static geoms too
                 -1,  # no body left out
                 geoms,
@@ -92,7 +106,7 @@ class MujocoEngine:
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, Floats]:
-    """Least and greatest corners (ngeom, 3) of the geoms' boxes; planes have no bounds."""
+    """Compute least and greatest corners (ngeom, 3) of the geoms' boxes; infinite for planes."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("gab,gb->ga", rotation, model.geom_aabb[:, :3])
     half = np.einsum("gab,gb->ga", np.abs(rotation), model.geom_aabb[:, 3:])
@@ -104,9 +118,8 @@ def _search_every_body(model: mujoco.MjModel) -> None:
     """Make rays find visible geoms that collide with nothing.
 
     mj_multiRay searches a body only if the ray meets the ball around the body's *colliding* geoms
-    (mj_ray has no such shortcut). Where that could hide something, the balls are made as good as
-    infinite.
-    """
+    (mj_ray has no such shortcut). If that could hide a geom, the balls are made practically
+    infinite."""
     ghosts = visible_geoms(model) & (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     if ghosts.any():
         roots = model.body_bvhadr[model.body_bvhadr >= 0]

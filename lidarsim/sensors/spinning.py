@@ -1,6 +1,8 @@
-"""Sensors that fire one beam after the other: spinning LiDARs, with beams at fixed elevations on a
-head that turns; and sensors whose pattern does not repeat, of two motions whose rates have no
-common measure, of which a scan is a window in time."""
+"""Sensors that fire one beam after the other.
+
+Spinning LiDARs have beams at fixed elevations on a turning head. Sensors with a pattern that does
+not
+repeat have two motions whose rates have no common measure; a scan is a window in time."""
 
 import math
 from dataclasses import dataclass
@@ -75,11 +77,13 @@ class Rosette(Windowed):
             (self.first_hz, 1 - self.second_share),
             (self.second_hz, self.second_share),
         ):
+            # the fraction of a turn: large angles would lose digits
             sine, cosine = sin_cos(2 * math.pi * np.remainder(rate * time, 1.0))
             left += share * cosine
             up += share * sine
         left *= math.radians(self.horizontal_fov_deg / 2)
         up *= math.radians(self.vertical_fov_deg / 2)
+        # the deflection's angle; its sine over it scales the offsets to a unit vector
         away = np.sqrt(left**2 + up**2)
         sine, cosine = sin_cos(away)
         along = np.divide(sine, away, out=np.ones(away.shape), where=away > 0)
@@ -113,6 +117,7 @@ class Coil(Windowed):
         """See `Device.directions_sensor`."""
         time = self._turns_begun_s
         swing = np.remainder(self.swings_hz * time, 1.0)
+        # a triangle wave: up in the first half, down in the second
         height = np.where(swing < 0.5, 2 * swing, 2 - 2 * swing)
         elevation = self.lowest_deg + (self.highest_deg - self.lowest_deg) * height
         return pointing(elevation, 180.0 - 360.0 * np.remainder(self.turns_hz * time, 1.0))
@@ -158,6 +163,7 @@ class Spinning(Device):
                 "elevations_deg = []: a sensor has one beam at least; give the elevation of each, "
                 "degrees"
             )
+        # exactly one of the two determines the other
         if (self.columns == 0) == (self.firing_cycle_s == 0):
             raise ValueError(
                 f"columns = {self.columns}, firing_cycle_s = {self.firing_cycle_s}: expected one "
@@ -169,11 +175,14 @@ class Spinning(Device):
                 raise ValueError(
                     f"{name}: {count} numbers for {beams} beams; expected one for each, or none"
                 )
-        ways = zip(self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True)
-        if len(set(ways)) < beams:
+        directions = zip(
+            self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True
+        )
+        if len(set(directions)) < beams:
             raise ValueError(
                 "elevations_deg: two beams point the same way; expected different ones"
             )
+        # real beams are not as dense as FINEST_DEG, but angles in radians look so
         span = max(self.elevations_deg) - min(self.elevations_deg)
         if beams > 3 and span < FINEST_DEG * (beams - 1):
             raise ValueError(
@@ -196,6 +205,7 @@ class Spinning(Device):
         """(beams, columns)."""
         columns = self.columns or 1.0 / (self.rate_hz * self.firing_cycle_s)
         return len(self.elevations_deg), math.floor(
+            # + 1e-9: rounding must not cost a column
             columns * self.horizontal_fov_deg / 360.0 + 1e-9
         )
 
@@ -210,6 +220,7 @@ class Spinning(Device):
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         offsets = np.array(self.azimuth_offsets_deg or (0.0,))[:, None]
+        # degrees since the scan began, centred on the forward axis
         turned = 360.0 * self.rate_hz * self.times_s - self.horizontal_fov_deg / 2
         return pointing(
             np.array(self.elevations_deg)[:, None],

@@ -1,6 +1,5 @@
-"""Recipes: every number that decides what a dataset holds, resolved, checked, and read from
-TOML.
-"""
+"""Recipes: every number that determines a dataset's content, resolved, checked, and read from
+TOML."""
 
 import json
 import math
@@ -105,6 +104,7 @@ class Recipe:
             raise ValueError(
                 "[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out"
             )
+        # a manifest must be readable without the user's code
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
         if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
@@ -119,6 +119,7 @@ class Recipe:
                 f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at "
                 f"most"
             )
+        # each limit bounds a product: every factor is fine by itself
         if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
             raise ValueError(
                 f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, "
@@ -156,13 +157,13 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> Json:
-        """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
+        """Return the manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
         values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         return {
             "version": self.version,
             **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
-            **{name: asdict(it) for name, it in tables.items() if it is not None},
+            **{name: asdict(part) for name, part in tables.items() if part is not None},
         }
 
 
@@ -174,36 +175,44 @@ def preset(
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> Recipe:
-    """The recipe of a kind as it comes.
+    """Make the preset recipe of a kind.
 
     Args:
         kind: Its name, or "module:Class".
-        lidar: The sensor, or the name of one, such as "livox-avia", or of a TOML file of one, in
-            place of the paper's.
+        lidar: A sensor, the name of one, such as "livox-avia", or of a TOML file of one, instead of
+            the paper's.
         noise: Stages of noise, such as "range:0.02".
         mapping: Parameters of how maps are made.
         difficulty: "easy", "medium" or "hard"; medium by default.
 
+    Returns:
+        The recipe.
+
     Raises:
-        RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
+        RecipeError: If an argument is invalid; for an unknown kind, the nearest name is suggested.
     """
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
 def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
-    """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
-    [lidar], [noise], [mapping], [known] and [grid] of what differs from the preset.
+    """Read a recipe from a TOML file.
 
-    A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its
-    `[lidar] sensor` first.
+    It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
+    [mapping],
+    [known] and [grid] of values that differ from the preset. A sensor of the user's own is
+    imported, so
+    look at the `[lidar] sensor` of a stranger's recipe before you run it.
 
     Args:
         path: The file.
-        kind: Stands in for the file's, which may be missing then.
-        given: As for `preset`; a file that has the same is refused.
+        kind: Replaces a missing `kind`.
+        given: As for `preset`; must not repeat the file's.
+
+    Returns:
+        The recipe.
 
     Raises:
-        RecipeError: The file, the table and the parameter are named.
+        RecipeError: If the file is invalid; the message names file, table and parameter.
     """
     where = printable(path)
     tables = read_toml(path)
@@ -222,23 +231,25 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     return make_recipe(named, tables, where=where, folder=path.parent, **given)
 
 
-def _with_beside(tables: Json, where: str, given: Json) -> Json:
-    """The tables of a file with what is given beside them, see `preset`; the sensor stands as it
-    is. Raises RecipeError where the file has one of them, too."""
-    given = {name: value for name, value in given.items() if value is not None}
-    if "noise" in given:
-        given["noise"] = {"stages": given["noise"]}
-    for name in given.keys() & tables.keys():
-        named = ", ".join(given[name]) if name == "mapping" else f"--{name}"
-        what = name if name == "difficulty" else f"a table [{name}]"
+def _with_options(tables: Json, where: str, options: Json) -> Json:
+    """Merge a file's tables with options, see `preset`; a sensor stays as it is.
+
+    Raises RecipeError if both have the same one."""
+    options = {name: value for name, value in options.items() if value is not None}
+    if "noise" in options:
+        options["noise"] = {"stages": options["noise"]}
+    for name in options.keys() & tables.keys():
+        named = ", ".join(options[name]) if name == "mapping" else f"--{name}"
+        present = name if name == "difficulty" else f"a table [{name}]"
         raise RecipeError(
-            f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
+            f"{where}: has {present}, and {named} is given beside it; leave one of the two out"
         )
-    return {**tables, **given}
+    return {**tables, **options}
 
 
 def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
-    """The parameters in which a kind's preset of this difficulty differs from its defaults."""
+    """Return the parameters in which a kind's preset of this difficulty differs from its
+    defaults."""
     known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
         raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {', '.join(known)}")
@@ -246,15 +257,16 @@ def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
 
 
 def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, at: str) -> None:
-    """Raise RecipeError where `world` has fewer values of the preset that `level` names than of
-    another one, counted over the parameters in which the kind's presets differ."""
+    """Raise RecipeError if `world` has more values of another preset than of `level`'s.
+
+    Only the parameters in which the kind's presets differ are counted."""
     levels = {"medium": {}, **kind.graded}
     names = sorted({name for values in levels.values() for name in values})
     alike = {}
-    for other, values in levels.items():
-        begun = from_table(kind, values, f"{at}difficulty {other}", Path())
-        alike[other] = sum(getattr(world, name) == getattr(begun, name) for name in names)
-    nearest = max(alike, key=lambda other: alike[other])
+    for preset_level, values in levels.items():
+        begun = from_table(kind, values, f"{at}difficulty {preset_level}", Path())
+        alike[preset_level] = sum(getattr(world, name) == getattr(begun, name) for name in names)
+    nearest = max(alike, key=lambda preset_level: alike[preset_level])
     if alike[level] < alike[nearest]:
         raise RecipeError(
             f"{at}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of the "
@@ -271,12 +283,23 @@ def make_recipe(
     folder: Path = Path(),
     **given: Any,
 ) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in, and what is `given` beside them, see
-    `preset`; `where` names the tables' source in errors, if they have one.
+    """Make the preset of `kind` with other values.
 
     The modules of a user's own kind and sensor are imported, so neither name may come from a
-    stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
-    and the parameter.
+    stranger's file.
+
+    Args:
+        kind: Its name, or "module:Class", or "scene".
+        tables: Values by table, as in a recipe's file.
+        where: The tables' source, for messages.
+        folder: Paths in `tables` are relative to it.
+        given: As for `preset`.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        RecipeError: If a value is invalid; the message names the table and the parameter.
     """
     kinds = {
         "flight": Flight,
@@ -289,7 +312,7 @@ def make_recipe(
     if "known" in tables:
         kinds["known"] = Known
     at = f"{where}: " if where else ""
-    tables = _with_beside(tables, where, given)
+    tables = _with_options(tables, where, given)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
@@ -304,7 +327,8 @@ def make_recipe(
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():
-        owners = [f"[{part}]" for part, made in kinds.items() if name in field_names(made)]
+        owners = [f"[{part}]" for part, owner in kinds.items() if name in field_names(owner)]
+        # TOML puts a key behind a table's line into that table, and one before it into none
         if owners and name not in kinds and not isinstance(table, dict):
             raise RecipeError(
                 f"{at}{name} stands in no table; expected it below the line {' or '.join(owners)}"
@@ -314,6 +338,7 @@ def make_recipe(
             raise RecipeError(
                 f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
+    # the user's values come last, and win
     values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
     lidar = values.pop("lidar")
     parts = {
@@ -324,10 +349,12 @@ def make_recipe(
         _check_graded(world, level, parts["world"], at)
     if sensor is None:
         sensor = sensor_of(lidar, f"{at}[lidar]", folder)
+    # after the sensor: `datasheet` stands for the sensor's own noise
     noise = named_noise(parts["noise"].stages or None, sensor, at and f"{at}[noise]")
     parts |= {"lidar": sensor, "noise": noise}
-    odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
-    with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
+    reason = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, at), raised_as(RecipeError, reason, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **parts)
+        # a user's own parameters may be of any type
         json.dumps(recipe.resolved())
     return recipe

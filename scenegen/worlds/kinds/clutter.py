@@ -57,7 +57,12 @@ class Clutter(Classed):
     """Share of solids at any attitude; the rest are upright."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw four times as many places as are wanted, and keep the likeliest by the noise."""
+        """Draw four times as many places as needed, and keep the likeliest by the noise.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         self.add_ground(spec)
         n = max(round(log_uniform(*self.density, rng=rng) * self.size_m[0] * self.size_m[1]), 1)
         places, patch = rng.uniform(0.0, self.size_m, (4 * n, 3)), rng.uniform(*self.patch_m)
@@ -71,6 +76,7 @@ class Clutter(Classed):
         low, high = log(np.array(self.half_size_m)).tolist()
         sizes = np.asarray(exp(rng.uniform(low, high, (n, 3))))
         thin = rng.random(n) < self.thin_share
+        # the radius of round shapes; half edges of others also along y
         sizes[thin, 0] = np.maximum(sizes[thin, 0] / 5, 0.02)
         shapes = SHAPES[rng.integers(0, len(SHAPES), n)]
         boxy = thin & ((shapes == BOX) | (shapes == ELLIPSOID))

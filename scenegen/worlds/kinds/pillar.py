@@ -59,7 +59,12 @@ class Pillar(WorldKind):
     """Heights of pillars, metres, from the ground up."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw all pillars at once, then move those of the passages beside earlier ones."""
+        """Draw all pillars at once, then move those of the passages beside earlier ones.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
@@ -74,18 +79,20 @@ class Pillar(WorldKind):
         height = rng.uniform(*self.height_m, count)
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
+        # radius of the circle around the section, which no turn makes larger
         hull = np.where(round_, half, np.sqrt(half * half + length * length))
-        beside = [
+        # the first has no earlier one
+        moved = [
             n for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist() if n > 0
         ]
         drawn = [
             (rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*self.passage_m))
-            for n in beside
+            for n in moved
         ]
         sine, cosine = sin_cos([angle for _, angle, _ in drawn])
-        for n, (neighbour, _, gap), *aside in zip(beside, drawn, cosine, sine, strict=True):
+        for n, (neighbour, _, gap), *direction in zip(moved, drawn, cosine, sine, strict=True):
             plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(
-                aside
+                direction
             )  # which stays where it is
         quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
         shapes = np.where(round_, CYLINDER, BOX)
