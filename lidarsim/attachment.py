@@ -33,11 +33,9 @@ class Attached:
 
     Every method reads the places of bodies and geoms from the data that it gets, refits the
     hierarchy to those that have moved, and casts the rays of all M sensors at once. After
-    ``mj_step``,
-    MuJoCo's own places are those from which the step began: ``mj_kinematics(model, data)`` brings
-    them up to date. All methods raise ValueError if data were never forwarded, or a geom's place is
-    not
-    finite."""
+    ``mj_step``, MuJoCo's own places are those from which the step began: ``mj_kinematics(model,
+    data)`` brings them up to date. All methods raise ValueError if data were never forwarded, or a
+    geom's place is not finite."""
 
     def __init__(
         self,
@@ -52,8 +50,7 @@ class Attached:
         """Mount a sensor on one body of a model, or on each of several.
 
         Shapes, sizes and colours are read now, places at every scan. A `lever_arm_m` of the sensor
-        is
-        added, in the offset's frame.
+        is added, in the offset's frame.
 
         Args:
             model: The compiled world.
@@ -65,8 +62,7 @@ class Attached:
 
         Raises:
             ValueError: If the model has no such body, `sensor` is not a sensor, or the counts of
-                bodies and
-                offsets differ; and as `ModelSolids` does.
+                bodies and offsets differ; and as `ModelSolids` does.
         """
         offsets = [offset] if isinstance(offset, Pose) else list(offset)
         if not all(isinstance(item, Pose) for item in offsets):
@@ -107,8 +103,7 @@ class Attached:
 
         Returns:
             Metres (M, *shape), inf where nothing is within the sensor's range; and numbers of the
-            geoms
-            met, (M, *shape), -1 where none.
+            geoms met, (M, *shape), -1 where none.
         """
         return self._call(AnalyticEngine.nearest, data)
 

@@ -3,8 +3,8 @@
 The mathematical library and numpy choose among several implementations by the processor's features
 (FMA, AVX-512), and these differ in the last bit. Here everything is made of + - * / and rounding to
 whole numbers, which IEEE 754 makes exact to the bit. Sums are carried as two float64, a number and
-the rounding error (Dekker 1971), about 100 bits, so that results are the float64 nearest to
-the true value but for about one in 10^12."""
+the rounding error (Dekker 1971), about 100 bits, so that results are the float64 nearest to the
+true value but for about one in 10^12."""
 
 import math
 from collections.abc import Callable

@@ -122,9 +122,9 @@ def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tu
 class GridSpec:
     """An axis-aligned grid of cubic voxels, x y z in that order, z up.
 
-    Voxel (i, j, k) of a grid with least corner `origin` holds the points p for which
-    ``floor((p - origin) / voxel_m)`` is (i, j, k), in float64; its centre is
-    ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_m``.
+    Voxel (i, j, k) of a grid with least corner `origin` holds the points p for which ``floor((p -
+    origin) / voxel_m)`` is (i, j, k), in float64; its centre is ``origin + (i + 0.5, j + 0.5, k +
+    0.5) * voxel_m``.
     """
 
     shape: tuple[int, int, int] = number((80, 80, 40), least=1, most=MOST_EDGE)

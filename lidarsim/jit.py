@@ -5,8 +5,8 @@ Numba keys a cached kernel on its own file alone, so a kernel that calls one in 
 go on running the old callee after an update. Here the cache lies in a folder named after numba's
 version and the content of every file with kernels; a constant that a kernel uses must therefore
 stand in such a file. The folder is made under the environment's SCENEGEN_CACHE, XDG_CACHE_HOME or
-~/.cache, in that order. It is used only if no other user may write to it: numba unpickles the
-files in it."""
+~/.cache, in that order. It is used only if no other user may write to it: numba unpickles the files
+in it."""
 
 import gc
 import hashlib
@@ -166,10 +166,8 @@ def folder_trouble(folder: Path) -> str:
     """Explain why a cache `folder` cannot be trusted; "" if it can, and it exists.
 
     The cache's root and every folder from there on must belong to this user or root, and nobody
-    else
-    may write to them. A root with the sticky bit, such as /tmp, may be writable: users can move
-    only
-    their own files in it."""
+    else may write to them. A root with the sticky bit, such as /tmp, may be writable: users can
+    move only their own files in it."""
     root = cache_root()
     try:
         # from the outermost: a folder can be swapped by whoever may write to one around it

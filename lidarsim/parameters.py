@@ -114,18 +114,15 @@ def check(
     """Check every field of a dataclass against its annotation and its bounds.
 
     Annotations may be numbers, bool, str, Literal, dataclasses, and tuples or unions of these.
-    Values
-    of the right kind become the annotated type: a list a tuple, a whole float an int. An angle in
-    degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and not 6.283°. A field
-    that names a file is not checked.
+    Values of the right kind become the annotated type: a list a tuple, a whole float an int. An
+    angle in degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and not
+    6.283°. A field that names a file is not checked.
 
     Args:
         parameters: The dataclass; converted values are set in place, also if it is frozen.
         otherwise: Gives the bounds of a field without bounds of its own, from its name and value;
-            by
-            default, numbers must be finite. If it says that values rise, they must do so also
-            within
-            bounds of the field's own, unless these say `rising=False`.
+            by default, numbers must be finite. If it says that values rise, they must do so also
+            within bounds of the field's own, unless these say `rising=False`.
 
     Raises:
         ValueError: If a value has another type or is out of bounds; the message names the field.

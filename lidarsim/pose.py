@@ -14,8 +14,7 @@ from lidarsim.jit import kernel
 @dataclass(frozen=True, eq=False)
 class Pose:
     """A body's position and attitude in the world frame, z up. Raises ValueError if the
-    quaternion's length
-    is not 1."""
+    quaternion's length is not 1."""
 
     position: Floats
     """(3,), metres."""
@@ -55,8 +54,7 @@ class Pose:
         """Make the pose of a level body that looks along a direction.
 
         The half-angle formulas give the quaternion by square roots, without an angle, and so with
-        the
-        same bits on every processor.
+        the same bits on every processor.
 
         Args:
             position: (3,), metres, in the world.

@@ -47,8 +47,7 @@ class Registry:
 
         Raises:
             ValueError: If there is no such object, its module cannot be imported, or it lacks an
-                attribute
-                of `needs`. The message has one line.
+                attribute of `needs`. The message has one line.
         """
         name = str(name)
         module, colon, attribute = self.builtin.get(name, name).partition(":")

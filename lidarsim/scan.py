@@ -22,8 +22,7 @@ class Scan:
     sensor.
 
     Raises ValueError if `ranges` are not one number from 0 on, or inf, for each ray, or `lidar` is
-    not
-    a sensor."""
+    not a sensor."""
 
     ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
@@ -138,10 +137,8 @@ def _repeated(points: Floats) -> Mask:
     """Return which points (N, 3) are the one point that many rays share bit for bit.
 
     No surface gives such points; drivers write them for rays without a return. Rays without a
-    return
-    follow one another, so only points equal to the one before them are counted. The two echoes of a
-    ray
-    may be equal, but those of another ray are another pair."""
+    return follow one another, so only points equal to the one before them are counted. The two
+    echoes of a ray may be equal, but those of another ray are another pair."""
     alike = points[1:][(points[1:] == points[:-1]).all(axis=1)]
     if len(alike) < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
         return np.zeros(len(points), bool)

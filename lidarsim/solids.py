@@ -2,16 +2,21 @@
 
 Nothing here knows how rays or voxels meet them."""
 
+from __future__ import annotations
+
 import functools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M, MOST_TRIANGLES
+
+if TYPE_CHECKING:  # reading datasets must not load it
+    import mujoco
 
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
 """The codes of MuJoCo's `mjtGeom`."""
@@ -140,6 +145,8 @@ def solids_of(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Solid
         ValueError: As `ModelSolids` and its `at` do.
     """
     if data is None:
+        import mujoco
+
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
     return ModelSolids(model).at(data)
@@ -149,8 +156,7 @@ class ModelSolids:
     """The solids of a model. Shapes are read once, places whenever its data move.
 
     Raises ValueError if a geom's shape has no closed form here (a signed distance field's), if
-    numbers
-    are not finite or exceed `MOST_LENGTH_M`, or if there are more than `MOST_TRIANGLES`."""
+    numbers are not finite or exceed `MOST_LENGTH_M`, or if there are more than `MOST_TRIANGLES`."""
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -190,8 +196,7 @@ class ModelSolids:
 
         Raises:
             ValueError: If `data` were never forwarded or are another model's, or if places are not
-                finite
-                or exceed `MOST_LENGTH_M`.
+                finite or exceed `MOST_LENGTH_M`.
         """
         if data.geom_xpos.shape != (self._model.ngeom, 3):
             raise ValueError(

@@ -50,10 +50,8 @@ def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> Obs
     """Sort a scan into a grid.
 
     Returns outside the grid are dropped, but their rays still clear the voxels on their way. Free
-    space
-    is found by walking every ray from voxel boundary to voxel boundary (Amanatides and Woo 1987),
-    not
-    by sampling.
+    space is found by walking every ray from voxel boundary to voxel boundary (Amanatides and Woo
+    1987), not by sampling.
 
     Args:
         scan: The scan.
@@ -91,13 +89,10 @@ def fuse(
     """Sort several scans into one grid.
 
     By visibility, the order does not matter: a voxel is observed if any scan has a return in it,
-    and
-    free if none has and a ray of any scan crosses it. By log-odds, see `Fusion`, each scan raises
-    those
-    of the voxels that it observes and lowers those that it finds free, within bounds; a voxel that
-    no
-    scan met stays unknown. Only a voxel with a return can be observed, whatever the parameters,
-    because `Fusion.occupied` is at least one half.
+    and free if none has and a ray of any scan crosses it. By log-odds, see `Fusion`, each scan
+    raises those of the voxels that it observes and lowers those that it finds free, within bounds;
+    a voxel that no scan met stays unknown. Only a voxel with a return can be observed, whatever the
+    parameters, because `Fusion.occupied` is at least one half.
 
     Args:
         scans: One or more, in the order in which they were made.

@@ -21,15 +21,13 @@ class Caster(Protocol):
         """Find the first surface along rays, for P poses at once.
 
         A pose's result does not depend on the others. From inside a solid, a ray meets the surface
-        where it
-        comes out. Planes are seen from their front, +z, and within their half sizes where these are
-        not 0.
+        where it comes out. Planes are seen from their front, +z, and within their half sizes where
+        these are not 0.
 
         Args:
             origins: (P, 3), metres, in the world. Those that are not finite meet nothing.
             directions: (P, *shape, 3), unit vectors in the world. Lengths within a millionth of 1
-                count as
-                1; other vectors meet nothing.
+                count as 1; other vectors meet nothing.
             max_range_m: How far rays go, metres.
 
         Returns:
@@ -46,16 +44,14 @@ class Engine(Caster, Protocol):
     """A caster of one compiled world.
 
     A method `hits`, see `AnalyticEngine.hits`, is optional. It tells which surface every ray met;
-    stages
-    of noise that need surfaces call it."""
+    stages of noise that need surfaces call it."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
         """Make the engine of a compiled world.
 
         Geoms whose material, or whose own colour without one, has alpha 0 are invisible.
-        `lidarsim.solids`
-        refuses a world that our engines cannot cast when it reads it.
+        `lidarsim.solids` refuses a world that our engines cannot cast when it reads it.
 
         Args:
             model: The world; not changed.

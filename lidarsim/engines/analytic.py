@@ -62,15 +62,12 @@ class Hits:
 
 class AnalyticEngine:
     """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields:
-    an
-    `Engine`.
+    an `Engine`.
 
     It agrees with MuJoCo's rays but for height fields: in MuJoCo, rays from within also stop at
-    height
-    0, where no surface is. No ray passes between triangles that share an edge or a corner. Many
-    poses at
-    once are shared by `threads`, as many as there are processors unless a number is given; one pose
-    stays on one thread."""
+    height 0, where no surface is. No ray passes between triangles that share an edge or a corner.
+    Many poses at once are shared by `threads`, as many as there are processors unless a number is
+    given; one pose stays on one thread."""
 
     def __init__(self, solids: Solids, *, threads: int | None = None, parts: ArrayLike = ()):
         """Build the hierarchy over solids.
@@ -79,8 +76,7 @@ class AnalyticEngine:
             solids: The world.
             threads: How many threads share the poses of a cast; one for each processor if None.
             parts: (n + m,), numbers from 0 on: the part that each solid belongs to, for `hits` to
-                let rays
-                pass through.
+                let rays pass through.
         """
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
         self._solids = solids
@@ -166,8 +162,7 @@ class AnalyticEngine:
 
         Returns:
             Ranges (P, *shape), metres, as `cast` gives them; and numbers of the geoms met, (P,
-            *shape), -1
-            for none.
+            *shape), -1 for none.
         """
         ranges, items, _, _ = self._meet(origins, directions, max_range_m, through)
         return ranges, self._owners[items]
@@ -183,8 +178,7 @@ class AnalyticEngine:
         """Cast rays, and describe the surfaces that they met.
 
         Of several solids at the same distance, the first is met: primitives by their numbers, then
-        meshes
-        and height fields by theirs.
+        meshes and height fields by theirs.
 
         Args:
             origins, directions, max_range_m: As for `cast`.
@@ -223,10 +217,8 @@ class AnalyticEngine:
         """Cast rays, and cache them.
 
         Returns ranges (P, *shape); the item that each ray met: a primitive's number, from n on a
-        triangle's,
-        or -1; origins (P, 3) and unit vectors (P, *shape, 3). Raises ValueError as `rays_of` does,
-        since the
-        kernel would read beyond arrays of other shapes."""
+        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3). Raises ValueError as
+        `rays_of` does, since the kernel would read beyond arrays of other shapes."""
         # copies, for the kernel is compiled for arrays that can be written
         starts, vectors = rays_of(origins, directions, max_range_m)
         shape = vectors.shape[:-1]

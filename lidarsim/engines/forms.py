@@ -178,8 +178,8 @@ def upright(origin, ray):
 
     Returns:
         Axes u, v and w, along which it runs fastest; the origin's coordinates along u, v, w; how
-        far the
-        ray runs along u and v for a metre along w; and how far along w for a metre of its own.
+        far the ray runs along u and v for a metre along w; and how far along w for a metre of its
+        own.
     """
     u, v, w = axes(ray[0], ray[1], ray[2])
     return u, v, w, origin[u], origin[v], origin[w], ray[u] / ray[w], ray[v] / ray[w], ray[w]

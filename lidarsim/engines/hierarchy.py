@@ -31,8 +31,7 @@ SPARE = 1e-9
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
     """A tree over n items, with m nodes. Node 0 is the root; children have greater numbers than
-    their
-    parents."""
+    their parents."""
 
     boxes: Floats
     """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there
@@ -84,8 +83,7 @@ def _build(lower, upper, centre, order, boxes, links, ends, bins, waiting):
     """Fill boxes, links, ends and order from the root down; return the number of nodes.
 
     A row of `waiting` is a group: where it begins and ends in `order`, its node and its level.
-    Arrays
-    are made by the caller, since numba takes a second to compile their creation."""
+    Arrays are made by the caller, since numba takes a second to compile their creation."""
     nodes = pending = min(len(order), 1)
     waiting[0, 1] = len(order)
     while pending > 0:
@@ -127,8 +125,7 @@ def _cut(lower, upper, centre, order, begin, end, level, bins):
     """Sort order[begin:end] into two parts; return where the second begins, `end` for a leaf.
 
     A row of `bins` is a box, the count of items whose centre is in the bin, and the cost of all
-    bins
-    from this one on; the last row is a box that grows."""
+    bins from this one on; the last row is a box that grows."""
     if end - begin <= IN_LEAF:
         return end
     # the axis along which centres spread farthest

@@ -3,8 +3,7 @@ the leaves.
 
 Rays of a pose that run nearly the same way are walked as one packet (Wald et al. 2001). A box or a
 solid is skipped if it lies beside the pyramid around them all (Reshetov et al. 2005). Each ray
-meets
-the rest by itself, so that packets change no bit."""
+meets the rest by itself, so that packets change no bit."""
 
 import math
 from typing import Any
@@ -52,14 +51,10 @@ def work_arrays() -> tuple[Any, ...]:
     """Make the arrays that `traverse` works in.
 
     They are made here, since numba takes half a second to compile their creation. Of every lane, a
-    ray
-    of the packet: its direction and the inverse of that, its number, the distance of the nearest
-    item so
-    far, that item (the count of items for none), and whether it missed the last one. Then the stack
-    of
-    children to be entered, the nearest last, and the distances where they begin; and where the
-    children
-    of one node begin."""
+    ray of the packet: its direction and the inverse of that, its number, the distance of the
+    nearest item so far, that item (the count of items for none), and whether it missed the last
+    one. Then the stack of children to be entered, the nearest last, and the distances where they
+    begin; and where the children of one node begin."""
     return (
         np.empty((6, LANES)),
         np.empty(LANES, np.uint64),
@@ -100,8 +95,7 @@ def traverse(
     Args:
         origins: (P, 3), metres, in the world. A pose that is not finite meets nothing.
         directions: (P, n, 3), in the world. Vectors that are not nearly of unit length meet
-            nothing;
-            the others are scaled to it in place.
+            nothing; the others are scaled to it in place.
         max_range_m: How far rays go, metres.
         turn: (n,): the numbers of rays, neighbours one after the other.
         shape, size, position, rotation: Of the m primitives: (m,), (m, 3), (m, 3), (m, 3, 3). Items
@@ -282,8 +276,8 @@ def traverse(
 
 @kernel
 def _pack(directions, turn, ray, lanes):
-    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their
-    numbers in `lanes`; skip vectors of other lengths.
+    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their numbers in
+    `lanes`; skip vectors of other lengths.
 
     Returns the count of rays; the axes u, v and w, along which they run fastest; their least and
     greatest slopes along u and v for a metre along w; and how far the slowest and the fastest run
@@ -317,10 +311,8 @@ def _sides(axis, low, high):
     """Return where a pyramid with slopes from `low` to `high` along an axis enters a box.
 
     That is the row of a node's boxes that it meets first and the inverse of the steepest slope
-    towards
-    it; the other row and the inverse of the other slope; and whether slopes have both signs: then
-    it
-    enters at either side, and leaves at none."""
+    towards it; the other row and the inverse of the other slope; and whether slopes have both
+    signs: then it enters at either side, and leaves at none."""
     above = axis + np.uint64(3)
     if low >= 0.0:
         return axis, inverse(high), above, inverse(low), False

@@ -39,10 +39,8 @@ class VoxelEngine:
     """Casts rays through a `VoxelMap` from voxel to voxel (Amanatides and Woo 1987).
 
     A map does not tell where in a voxel the surface lies. A ray that meets an occupied voxel
-    returns
-    from the middle of its chord, so that a return lies in that voxel. Rays pass through unknown
-    voxels;
-    `cross` tells how far."""
+    returns from the middle of its chord, so that a return lies in that voxel. Rays pass through
+    unknown voxels; `cross` tells how far."""
 
     def __init__(self, voxels: VoxelMap):
         self.voxels = voxels
@@ -134,12 +132,9 @@ def _cast(
     """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3).
 
     Returns False as soon as more than `max_share` of the rays cross more than `max_unknown_m`.
-    Three
-    sweeps decide that early. The first starts at the last row of `columns` rays, which looks up,
-    and
-    skips the rays below a row that is not marked. The second walks those, both only up to the
-    limit.
-    The third walks the marked rays to their ends."""
+    Three sweeps decide that early. The first starts at the last row of `columns` rays, which looks
+    up, and skips the rays below a row that is not marked. The second walks those, both only up to
+    the limit. The third walks the marked rays to their ends."""
     marked, unknown[:] = 0, -1.0
     for sweep in range(3):
         limit = math.inf if sweep == 2 else max_unknown_m
@@ -266,8 +261,7 @@ def enter(start, t, pace, count):
 
     Returns:
         The voxel's number; +1, -1 or 0 by which it changes next; the boundary ahead, in voxels; and
-        the
-        distance where the ray crosses that, metres.
+        the distance where the ray crosses that, metres.
     """
     if pace == 0.0:
         return math.floor(start), 0.0, 0.0, math.inf

@@ -48,10 +48,8 @@ class Noise:
 
         Args:
             text: Stages by name, or a user's own as ``module:Object``, each with its values in the
-                order of
-                its fields, or by name. ``datasheet`` stands for the sensor's own noise, and
-                ``none``, by
-                itself, for no stage. A chain is returned unchanged.
+                order of its fields, or by name. ``datasheet`` stands for the sensor's own noise,
+                and ``none``, by itself, for no stage. A chain is returned unchanged.
             sensor: The sensor, for ``datasheet``.
 
         Returns:

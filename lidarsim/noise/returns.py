@@ -10,9 +10,8 @@ generators", 2014)."""
 from dataclasses import dataclass, replace
 from decimal import Context, Decimal, localcontext
 from functools import cache
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import mujoco
 import numpy as np
 from numpy.random import Generator
 
@@ -25,6 +24,9 @@ from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.solids import colours
+
+if TYPE_CHECKING:
+    import mujoco
 
 LAYERS = 256
 """Layers of equal area under the bell exp(-x²/2)."""
@@ -54,8 +56,7 @@ def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     """Draw standard normal numbers by a ziggurat.
 
     Source: Marsaglia and Tsang, "The ziggurat method for generating random variables", 2000; layer
-    and
-    place in it come from separate bits, as Doornik 2005 demands.
+    and place in it come from separate bits, as Doornik 2005 demands.
 
     Args:
         shape: Of the result.
@@ -95,8 +96,7 @@ def _words(shape: tuple[int, ...], rng: Generator) -> Any:
 @cache
 def _layers() -> tuple[Floats, Floats]:
     """Compute the ziggurat: how far out its layers reach, from the lowest to the top, and the
-    density
-    there, 257 each.
+    density there, 257 each.
 
     The lowest is as wide as if its tail were part of a rectangle. Decimal numbers round their
     logarithms correctly on every processor."""
@@ -129,8 +129,7 @@ def _normal(words, edges, densities, numbers):
     """Compute the number of every word.
 
     A place in a layer is accepted at once if it lies below the next layer too, else if it lies
-    below
-    the bell."""
+    below the bell."""
     for n in range(len(words)):
         word = state = words[n]
         while True:
@@ -215,8 +214,7 @@ class Returns:
 
     def points(self, echo: int = 0) -> Floats:
         """Compute the returns' points of one echo as the sensor reports them, (M, 3) in the world,
-        in ray
-        order."""
+        in ray order."""
         hit = np.isfinite(self.ranges[echo])
         return self.told_origins[hit] + self.ranges[echo][hit][:, None] * self.told_directions[hit]
 
@@ -310,7 +308,7 @@ def _reflect(geoms, normals, rays, light, cosine, albedo):
             albedo[n] = light[geoms[n]] if len(light) else GREY
 
 
-def albedo_of(model: mujoco.MjModel) -> Floats:
+def albedo_of(model: "mujoco.MjModel") -> Floats:
     """Compute the share of light that every geom reflects, (ngeom,).
 
     It is the brightness of the material's colour, or of the geom's own without a material, by the

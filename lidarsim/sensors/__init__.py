@@ -1,8 +1,8 @@
 """Sensors: where rays point, when each is cast, how far they reach. One file a family; each fills
 `Sensor`.
 
-Nothing else in the toolkit knows how a sensor works, so a new family is one new file, here or
-in a user's folder."""
+Nothing else in the toolkit knows how a sensor works, so a new family is one new file, here or in a
+user's folder."""
 
 from __future__ import annotations
 

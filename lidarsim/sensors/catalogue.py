@@ -1,6 +1,5 @@
 """Sensors that people have, from `catalogue.toml`: an object each, under its name in `CATALOGUE`,
-as
-in ``from lidarsim.sensors.catalogue import VLP_16``."""
+as in ``from lidarsim.sensors.catalogue import VLP_16``."""
 
 import tomllib
 from typing import TYPE_CHECKING, Any

@@ -27,8 +27,8 @@ DESCRIPTIVE = ("name", "source", "checked", "error", "noise")
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and,
-    if rays are not all cast at once, `times_s`."""
+    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and, if
+    rays are not all cast at once, `times_s`."""
 
     name: str = ""
     """What it is called; the catalogue's names are taken."""

@@ -1,8 +1,7 @@
 """Sensors that fire one beam after the other.
 
 Spinning LiDARs have beams at fixed elevations on a turning head. Sensors with a pattern that does
-not
-repeat have two motions whose rates have no common measure; a scan is a window in time."""
+not repeat have two motions whose rates have no common measure; a scan is a window in time."""
 
 import math
 from dataclasses import dataclass

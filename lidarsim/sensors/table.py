@@ -37,12 +37,10 @@ UNIT = 1e-9
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BeamTable:
     """Rays listed one by one: a `Sensor`, named in a recipe by ``[lidar] sensor = "table"``. Tables
-    with
-    equal numbers are equal.
+    with equal numbers are equal.
 
     Raises ValueError if a ray has no direction, a time or the range is invalid, or the file is
-    missing
-    or has another checksum."""
+    missing or has another checksum."""
 
     rays: Floats = field(metadata={FILE: True})
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,

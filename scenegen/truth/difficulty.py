@@ -30,8 +30,7 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
     """Find the shortest path between two free nodes of a lattice.
 
     Node (a, b, c) is voxel `first` + `step` (a, b, c) of `occupied`. Lengths are in lattice steps,
-    and
-    longer by `weight` times the mean `risk` on the way, unless `risk` is empty.
+    and longer by `weight` times the mean `risk` on the way, unless `risk` is empty.
 
     Args:
         occupied: (nx, ny, nz): voxels that block.
@@ -40,8 +39,7 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
         step: Voxels from node to node.
         start: (3,): a free node.
         goal: (3,): a free node. Beyond the lattice, it ends the path at the outermost node from
-            which
-            the straight line to it makes the shortest way.
+            which the straight line to it makes the shortest way.
         edge_check: Whether the voxels between two nodes must be free, too.
         risk: (nx, ny, nz), or `NO_RISK`.
         weight: The weight of risk.
@@ -67,8 +65,7 @@ def explore(occupied, first, shape, step, start, goal, edge_check, risk, weight)
     """Find the shortest paths from `start` to the nodes of a lattice.
 
     The straight line to the goal never exceeds the rest of a path, nor falls by more than an edge
-    is
-    long, so the first arrival is the shortest (A*).
+    is long, so the first arrival is the shortest (A*).
 
     Args:
         occupied, first, shape, step, start, edge_check, weight: As for `search`.
@@ -79,8 +76,7 @@ def explore(occupied, first, shape, step, start, goal, edge_check, risk, weight)
         Per node, in C order: the length of its shortest path, infinite for none; and the number of
             the
         node before it on that path, -1 for none. Then the number of the node that ends the path to
-        the
-        goal, -1 for none.
+        the goal, -1 for none.
     """
     (x0, y0, z0), (na, nb, nc) = first, shape
     length = np.full(na * nb * nc, np.inf)
@@ -260,8 +256,7 @@ def _neighbours() -> tuple[Ints, Ints]:
 @kernel
 def _way(occupancy, x, y, z, dx, dy, dz):
     """Count steps from a free voxel to the last free one in a direction; and tell whether an
-    occupied one
-    ends them."""
+    occupied one ends them."""
     nx, ny, nz = occupancy.shape
     steps = 0
     while True:
@@ -276,8 +271,7 @@ def _way(occupancy, x, y, z, dx, dy, dz):
 @kernel
 def _mean_ways(occupancy, middle, step, directions):
     """Average over the free nodes of the middle's lattice, in voxels: the way in a direction, and
-    the
-    shortest way there and back.
+    the shortest way there and back.
 
     The n-th direction and the n-th last must be opposite."""
     nx, ny, nz = occupancy.shape

@@ -13,10 +13,8 @@ def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
 
     Only occupancy within the map counts (the paper's section "Training Data Generation"). Squared
     distances are whole numbers, and none beyond the truncation matters, so they fit in a byte (for
-    the
-    default grid, 100 at most), and three passes of minima, one an axis, give them exactly (Saito
-    and
-    Toriwaki 1994).
+    the default grid, 100 at most), and three passes of minima, one an axis, give them exactly
+    (Saito and Toriwaki 1994).
 
     Args:
         occupancy: (*grid.shape).
@@ -24,9 +22,8 @@ def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
 
     Returns:
         (*grid.shape): metres from each voxel's centre to the nearest occupied voxel's centre,
-        exactly
-        ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared distance in
-        voxels; 0 where occupied, `truncation_m` everywhere in an empty map.
+        exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared
+        distance in voxels; 0 where occupied, `truncation_m` everywhere in an empty map.
     """
     cap, table = lookup(grid)
     # a sum of two capped squares must fit the type
@@ -67,8 +64,7 @@ def _transform(occupied, cap, table, reach, steps, run, row, squares, nearest, d
 
     All numbers have the type of `cap`, so that a vector register holds many. Lines along z are kept
     apart by a margin of `cap`, and slices surrounded by one, so that a shift along y or z is one
-    shift
-    of a whole x-slice. Work arrays come from the caller: numba takes long to compile their
+    shift of a whole x-slice. Work arrays come from the caller: numba takes long to compile their
     creation."""
     nx, ny, nz = distance.shape
     line = nz + reach
@@ -103,8 +99,7 @@ def _spread(source, squares, reach, line):
 @kernel
 def _steps_along_x(occupied, steps, run, cap):
     """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `cap`; `run`
-    (m,)
-    counts them."""
+    (m,) counts them."""
     nx, m = steps.shape
     unit = steps.dtype.type(1)
     for direction in range(2):

@@ -170,13 +170,11 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
     """Find the voxels of one column that touch a shape.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
-    distance of
-    its centre settles all but the cubes right at the surface; and since that distance changes by no
-    more
-    than the way walked, far cubes are skipped. Shapes are convex: the column is walked from its
-    foot to
-    the first cube that touches, and from its top to the last. The centres of cubes that touch an
-    ellipsoid lie in a larger one, and all cubes with a centre in a smaller one touch it.
+    distance of its centre settles all but the cubes right at the surface; and since that distance
+    changes by no more than the way walked, far cubes are skipped. Shapes are convex: the column is
+    walked from its foot to the first cube that touches, and from its top to the last. The centres
+    of cubes that touch an ellipsoid lie in a larger one, and all cubes with a centre in a smaller
+    one touch it.
 
     Args:
         shape, size: Of the primitive.
@@ -263,8 +261,7 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
     """Mark the voxels that triangles (T, 3, 3) pass through.
 
     Each test of `triangle_touches` holds for an interval of a row of columns or of a column. If
-    these
-    intervals do not decide whether a voxel lies in all of them, the test itself is made."""
+    these intervals do not decide whether a voxel lies in all of them, the test itself is made."""
     half, slack, spare = 0.5 * voxel_m, SLACK_M / voxel_m, SPARE_M / voxel_m
     corners = np.empty((3, 3))
     across, up_x, up_y = np.empty((3, 4, max(occupancy.shape)))

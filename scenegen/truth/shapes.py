@@ -1,6 +1,5 @@
 """Closed forms of MuJoCo's primitive shapes, in the shape's frame: distance to a point, contact
-with a
-cube, and whether a cube is inside.
+with a cube, and whether a cube is inside.
 
 A cube has a centre, three unit axes (the world's axes written in the shape's frame, so row a of the
 shape's rotation matrix is axis a) and half an edge. Sizes are MuJoCo's: (radius), (radius, half
@@ -80,10 +79,8 @@ def _ellipsoid_distance(size, x, y, z):
     """Find the nearest point of an ellipsoid by Newton's method.
 
     It is (a² x / (t + a²), ...) with t > 0 the root of a convex, falling function (Eberly,
-    "Distance
-    from a point to an ellipse, an ellipsoid, or a hyperellipsoid"). From 0, Newton's method climbs
-    to
-    the root from the left without overshooting."""
+    "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid"). From 0, Newton's
+    method climbs to the root from the left without overshooting."""
     a, b, c = size[0] * size[0], size[1] * size[1], size[2] * size[2]
     p, q, r = a * x * x, b * y * y, c * z * z
     t = 0.0
@@ -261,10 +258,8 @@ def _ellipsoid_touches(size, axes, centre, half, slack):
     """Test a cube against an ellipsoid, scaled so that it is the unit ball.
 
     The cube is then a parallelepiped, whose point nearest to the centre is found among the
-    interiors of
-    its faces and edges. There, the gap is at least (f - 1) / |grad f| with f the scaled length (f
-    is
-    convex), and equals it to first order."""
+    interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f the
+    scaled length (f is convex), and equals it to first order."""
     # the cube holds the ellipsoid's centre
     if _point_to_cube2(axes, centre, half) == 0.0:
         return True
@@ -310,9 +305,8 @@ def _cylinder_touches(radius, reach, axes, centre, half):
     """Test a cube against a cylinder.
 
     The part of the cube between the cylinder's two end planes is convex, so it touches when its
-    shadow
-    along the axis does: when the axis runs through it, or one of its edges (the cube's, cut at the
-    planes, and the cuts themselves) passes the axis within the radius."""
+    shadow along the axis does: when the axis runs through it, or one of its edges (the cube's, cut
+    at the planes, and the cuts themselves) passes the axis within the radius."""
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
         offset = -_along(axes, a, centre)
@@ -365,8 +359,7 @@ def _segment_norm2(p, q):
 @kernel
 def _face_cut_norm2(axes, centre, i, si, height, half):
     """Return the squared distance from the axis to the segment in which the plane z = height cuts
-    one face;
-    inf without a cut."""
+    one face; inf without a cut."""
     j, k = (i + 1) % 3, (i + 2) % 3
     face = moved(centre, axes, i, si)
     cz = face[2] - height

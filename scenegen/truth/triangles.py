@@ -11,8 +11,7 @@ def triangle_touches(a, b, c, x, y, z, half, slack):
     """Test whether a closed cube comes near a triangle, by separating axes (Akenine-Moller 2001).
 
     These are the triangle's normal, the cube's faces, and the products of their edges, which are
-    tests
-    in the three planes of the axes.
+    tests in the three planes of the axes.
 
     Args:
         a, b, c: The triangle's corners, (3,) each, metres.
@@ -93,8 +92,7 @@ def numbered(triangle, origin, voxel_m, corners):
 
     Returns:
         The triangle's greatest extent along an axis plus one; and the rounding error of the
-        products
-        that `bounds` compares; both in voxels.
+        products that `bounds` compares; both in voxels.
     """
     size, far = 1.0, 0.0
     for q in range(3):
@@ -118,8 +116,7 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
     """Bound where a square touches a triangle in the plane of two axes.
 
     For each place along axis p, the square may move along axis q. It touches unless an edge, or a
-    side
-    of the bounding box, has the triangle more than `slack` apart from it. All in voxels, see
+    side of the bounding box, has the triangle more than `slack` apart from it. All in voxels, see
     `numbered`.
 
     Args:
@@ -131,8 +128,7 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
         spare: The margin within which nothing is sure.
         noise: The rounding error.
         found: The result, (4, n): along q, the least place that may touch, the least and the
-            greatest
-            that surely do, and the greatest that may.
+            greatest that surely do, and the greatest that may.
     """
     wide = half + slack
     low, high = _extent(corners, p)
@@ -245,8 +241,7 @@ def crossing(a, b, c, x, y):
 
     Returns:
         +1 if its normal points up at the crossing, -1 if down, 0 without a crossing; and the height
-        of
-        the crossing, metres.
+        of the crossing, metres.
     """
     s = side(a, b, x, y)
     # inside if it lies on the same side of all three edges

@@ -49,10 +49,8 @@ def _axis(
     """Match voxels of a grid with a map's along one axis.
 
     For each of `count` voxels of `edge` map voxels from `first` on, returns the map's voxels that
-    it
-    overlaps, from and up to, (count, 2), of `limit` in all; the share of it that lies in each of
-    these;
-    and in all of them."""
+    it overlaps, from and up to, (count, 2), of `limit` in all; the share of it that lies in each of
+    these; and in all of them."""
     low, high = first + np.arange(count) * edge, first + np.arange(1, count + 1) * edge
     ends = np.stack([np.floor(low + slack), np.ceil(high - slack)], axis=1)
     spans = np.clip(ends, 0, limit).astype(np.int64)

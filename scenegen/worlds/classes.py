@@ -26,9 +26,8 @@ class Labels:
     By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
     a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
     material in the same way. A geom without such a name is of the class of its shape. By `group`,
-    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same
-    for all kinds of worlds: the material's, and "other" for a geom whose material has another
-    name.
+    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same for
+    all kinds of worlds: the material's, and "other" for a geom whose material has another name.
     """
 
     by: By

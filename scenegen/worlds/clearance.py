@@ -107,8 +107,7 @@ def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints
 @kernel
 def _visit_cells(first, last, columns, start, item):
     """Count in start[c + 2] the elements that reach into cell c; or, if `item` has room for them,
-    put each
-    in it at start[c + 1], which then moves on."""
+    put each in it at start[c + 1], which then moves on."""
     for n in range(len(first)):
         for i in range(first[n, 0], last[n, 0] + 1):
             for j in range(first[n, 1], last[n, 1] + 1):
@@ -148,8 +147,7 @@ def _from_solids(
     meshes,
 ):
     """`_clearance` among the solids of a `Clearance`, up to `CAP_M`. Without `meshes`, numba omits
-    their
-    code."""
+    their code."""
     i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
     j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j
@@ -181,8 +179,7 @@ def _from_solids(
 @kernel
 def _from_voxels(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
     """`_clearance` in a map of voxels. Voxels that are not free count as solids; in an `opened`
-    map, only
-    the occupied ones."""
+    map, only the occupied ones."""
     nx, ny, nz = states.shape
     sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
     nearest, enough = cap_m / voxel_m, enough_m / voxel_m

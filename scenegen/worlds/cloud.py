@@ -86,8 +86,7 @@ def map_clouds(
         poses: A file with a line for each of `files`: the sensor's position; or its pose, as
             `read_poses` reads it, if the points are in the sensor's own frame.
         box: The least and the greatest corner of the map, (6,), in the points' frame and unit; None
-            for
-            the box around all points and sensors.
+            for the box around all points and sensors.
         columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Returns:
@@ -113,6 +112,7 @@ def map_clouds(
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        # the first reading, for the extent of all points and sensors
         for part in (part for index in range(len(files)) for part in read(index)[:2]):
             finite = part[np.isfinite(part).all(axis=1)]
             low = np.minimum(low, finite.min(axis=0, initial=np.inf))
@@ -125,9 +125,11 @@ def map_clouds(
         raise SceneError(f"{where}: no point in it is finite; expected x, y and z in metres")
     offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
+    # apart from the states: rays of later files must not clear points of earlier ones
     occupied = np.zeros(states.shape, bool)
     points, report = 0, ReadReport()
     for index in range(len(files)):
+        # the second reading; a single file is still cached
         seen = read(index)
         report.add(seen.recorded, seen.layout, seen.recorded - len(seen.points))
         points += _carve(
@@ -166,8 +168,8 @@ def _returns(
     """Select the returns of a cloud, and move them to the map's axes.
 
     Points without a return are dropped in the sensor's frame, before points are moved. If the
-    sensor's
-    place is unknown, all finite points are returns: 0 0 0 is a place in a registered cloud.
+    sensor's place is unknown, all finite points are returns: 0 0 0 is a place in a registered
+    cloud.
 
     Args:
         cloud: The points of a file.
@@ -197,6 +199,7 @@ def _returns(
     rows, starts = points * survey.unit_m, origins * survey.unit_m
     if not is_boxed:
         check_scan(rows, starts, where)
+    # in metres, as the minimum range is; `points` keep the file's unit
     returned = are_returns(rows, starts, survey.least_m)
     points = points[returned]
     if pose is not None:
@@ -217,6 +220,7 @@ def _read_poses(path: Path, files: Sequence[Path]) -> Sequence[Placement]:
         placements = list(rows[:, None])
     else:
         placements = read_poses(path, timed=False).poses
+        # KITTI puts it beside the folder of clouds
         calibration = files[0].resolve().parent.parent / "calib.txt"
         if not names and rows.shape[1] == 12 and has_camera(calibration):
             raise SceneError(
@@ -233,6 +237,7 @@ def _read_poses(path: Path, files: Sequence[Path]) -> Sequence[Placement]:
 def _upright(points: Floats, survey: Survey) -> Floats:
     """Convert points (N, 3) of a file to metres, z up."""
     if survey.up == "y":
+        # a quarter turn about x
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
     return points * survey.unit_m
 

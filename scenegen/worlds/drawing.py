@@ -62,12 +62,10 @@ class Solid(NamedTuple):
 
 class Drawing:
     """Solids under the world body, written to the same bytes as by MuJoCo's own writer, which is
-    twenty
-    times slower.
+    twenty times slower.
 
     It supports everything that a `mujoco.MjSpec` does: access to any attribute of one makes one,
-    with
-    the solids so far in it, and from then on MuJoCo writes the document."""
+    with the solids so far in it, and from then on MuJoCo writes the document."""
 
     def __init__(self, flight_bounds: Floats):
         self._bounds = tuple(np.asarray(flight_bounds, float).reshape(-1).tolist())
@@ -111,8 +109,7 @@ class Drawing:
         classes: Sequence[str] | None = None,
     ) -> None:
         """Add n solids at once, which is quicker than one by one. Values that all share may lack
-        the first
-        axis.
+        the first axis.
 
         Args:
             shapes: Codes of `mujoco.mjtGeom`, (n,).
@@ -199,8 +196,7 @@ class Drawing:
 
     def mjcf(self) -> bytes:
         """Write the document, UTF-8. Raises ValueError if MuJoCo refuses the world, and BrokenError
-        if readers
-        of the archive would."""
+        if readers of the archive would."""
         if self._spec is None and len(self._solids) <= MAX_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:

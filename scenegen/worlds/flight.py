@@ -1,6 +1,5 @@
 """Flights: OMPL's RRT between a random start and goal, viewpoints along the path, and a quadrotor's
-tilt
-there."""
+tilt there."""
 
 import math
 from dataclasses import dataclass
@@ -115,6 +114,7 @@ def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
     clearance = world.clearance
     bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
+    # drawn even without ends, so that later draws do not depend on them
     seed = int(rng.integers(1, 2**31))
     solution = None if ends is None else connect(clearance, bounds, flight, ends, seed)
     return None if solution is None else points_of(solution[1])
@@ -159,6 +159,7 @@ def connect(
     planner.setRange(flight.step_m)
     planner.setProblemDefinition(problem)
     planner.setup()
+    # OMPL evaluates the condition once an iteration
     rounds = iter(range(flight.iterations))
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
@@ -229,8 +230,7 @@ class Route:
     @cached_property
     def turns(self) -> tuple[Floats, Floats]:
         """Changes of the direction of flight at each point, its begin and end included, (k, 3), and
-        the metres
-        flown there, (k,)."""
+        the metres flown there, (k,)."""
         moving = self.lengths > 0.0
         direction = self.legs[moving] / self.lengths[moving, None]
         # the flight begins and ends at rest
@@ -241,6 +241,7 @@ class Route:
     def at(self, flown_m: Floats) -> tuple[Floats, Floats]:
         """Compute positions (m, 3), metres, and headings (m, 2), of any length, at `flown_m`
         (m,)."""
+        # the end of the path belongs to its last leg
         leg = np.minimum(np.searchsorted(self.ends, flown_m, side="right") - 1, len(self.legs) - 1)
         along = (flown_m - self.ends[leg]) / self.lengths[leg]
         return self.path[leg] + along[:, None] * self.legs[leg], self.headings[leg]
@@ -299,6 +300,7 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route
             f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a "
             f"flight of {length:.0f} m; raise it"
         )
+    # a random phase: else the first viewpoint would always be the start
     flown = np.arange(rng.uniform(0.0, spacing_m), length, spacing_m)
     return route, flown[rng.permutation(len(flown))]
 
@@ -397,6 +399,7 @@ def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
     forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
     sideways = math.sqrt(forward * forward + left * left)
     max_sine, max_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
+    # the tilt's tangent is sideways / up, here without a division
     if sideways * max_cosine > up * max_sine:
         share = up * max_sine / (max_cosine * sideways)
         forward, left = forward * share, left * share

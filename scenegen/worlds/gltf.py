@@ -1,10 +1,10 @@
 """Reader of binary glTF 2.0 (.glb): the triangles, where the nodes put them.
 
 Everything that places a rigid triangle is read (Khronos, glTF 2.0 specification): nodes, integer
-accessors, and the extensions `QUANTIZED` and `INSTANCED`. Meshes that bend, by a skin or by
-the weights of morph targets, are left out, and a note says so. A file that requires another
-extension is refused, as the specification demands, unless the extension concerns only colours,
-textures or lights: these are ignored."""
+accessors, and the extensions `QUANTIZED` and `INSTANCED`. Meshes that bend, by a skin or by the
+weights of morph targets, are left out, and a note says so. A file that requires another extension
+is refused, as the specification demands, unless the extension concerns only colours, textures or
+lights: these are ignored."""
 
 import json
 import struct
@@ -93,6 +93,7 @@ class Gltf:
         waiting = [(int(root), np.eye(4)) for root in reversed(roots)]
         while waiting:
             number, parent = waiting.pop()
+            # a loop would never end, and shared children multiply
             if number in seen:
                 raise BrokenError(f"node {number} has two parents; export it again")
             seen.add(number)
@@ -142,8 +143,7 @@ class Gltf:
 
         Returns:
             (count, components): normalised integers as the numbers from -1 to 1 that they encode,
-            other
-            integers as they are.
+            other integers as they are.
 
         Raises:
             BrokenError: If it is sparse, has no data, or lies in another file.
@@ -193,6 +193,7 @@ def read_gltf(content: bytes) -> Gltf:
     version, length, size = struct.unpack_from("<III", content, 4)
     if version != 2:
         raise BrokenError(f"is glTF {version}; expected glTF 2.0")
+    # bytes behind the file's own length are ignored
     if len(content) < length or length < 20 + size:
         raise BrokenError(f"has {len(content)} of {max(length, 20 + size)} bytes; copy it again")
     document, offset, binary = json.loads(content[20 : 20 + size]), 20 + size, b""
@@ -222,8 +223,7 @@ def _is_read(name: str) -> bool:
 
 def _matrices(translation: Floats | None, rotation: Floats | None, scale: Floats | None) -> Floats:
     """Compose matrices (n, 4, 4): scale by (n, 3), then rotate by quaternions (n, 4), x y z w, then
-    move
-    by (n, 3); None changes nothing."""
+    move by (n, 3); None changes nothing."""
     (count,) = {len(part) for part in (translation, rotation, scale) if part is not None} or {1}
     matrices = np.tile(np.eye(4), (count, 1, 1))
     if rotation is not None:

@@ -93,6 +93,7 @@ def labels_by(by: By, named: Iterable[str]) -> Labels:
     if by not in get_args(By):
         raise RecipeError(f"labels = {by!r}: expected one of {', '.join(get_args(By))}")
     fixed = {"group": GROUPS, "class": CLASSES}
+    # sorted, so that numbers do not depend on the order of worlds
     known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
         raise GenerationError(
@@ -125,6 +126,7 @@ def label_fields(
     classes = np.append(classes_of(world, labels), [0]).astype("<u2")
     directions = rotate(sample["quaternion"], lidar.directions_body)
     origin = np.asarray(sample["position"])[None]
+    # of our engines, only this one tells which geom a ray meets
     engine: Any = world.caster(AnalyticEngine.of)
     met = engine.hits(origin, directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
@@ -171,6 +173,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
         if filled:
             held = np.zeros(grid.shape, bool)
             inside_columns(triangles, origin, voxel_m, held)
+            # free voxels have -1, and stay without an owner
             held &= (nearest > 0.0) | ((nearest == 0.0) & (geom < owner))
             nearest[held], owner[held] = 0.0, geom
     return owner

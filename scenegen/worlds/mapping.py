@@ -113,6 +113,7 @@ class Mapper(Fusion):
             ValueError: If no ray reaches the map, or the scans exceed the limit.
         """
         for ahead, extent in zip(self.map_ahead_m, grid.extent_m, strict=True):
+            # the map's nearest face along this axis
             if not abs(ahead) - extent / 2 < max_range_m:
                 raise ValueError(
                     f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's "

@@ -71,6 +71,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     try:
         voxel_m = float(header.get("res", "nan"))
     except ValueError:
+        # `check_voxel` refuses it
         voxel_m = float("nan")
     check_voxel(voxel_m, name)
     data, is_binary = np.frombuffer(tree, np.uint8), magics[first.strip()]
@@ -90,6 +91,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
         )
     states = np.zeros(shape, np.uint8)
     _fill(data, is_binary, bounds, states)
+    # trees are centred on the world's origin
     return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
 
 
@@ -125,10 +127,8 @@ def _fill(data, is_binary, bounds, states):
 
     A node of a `.bt` file, if `is_binary`, is 16 bits, two for each child: 0 unknown, 1 free, 2
     occupied, 3 a node of its own. One of an `.ot` file is its log-odds in four bytes, and one byte
-    of
-    flags of its children; without any it is a leaf, occupied from log-odds of 0 on. Returns the
-    number
-    of a fault in `FAULTS`, 0 for none."""
+    of flags of its children; without any it is a leaf, occupied from log-odds of 0 on. Returns the
+    number of a fault in `FAULTS`, 0 for none."""
     waiting, offset, length = [(0, 0, 0, 2 * HALF)], 0, 2 if is_binary else 5
     while len(waiting) > 0:
         x, y, z, size = waiting.pop()
@@ -235,6 +235,8 @@ class Place:
         bounds, clearance = self.flight_bounds, self.clearance
         for point in rng.uniform(bounds[0], bounds[1], (TRIES, 3)):
             if clearance.at(*point) >= radius_m:
+                # planning in the whole map would take long, and mostly leave the flight's
+                # surroundings
                 reach = LOCAL * length_m
                 return np.clip([point - reach, point + reach], *bounds)
         return bounds
@@ -353,6 +355,7 @@ def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> 
 def map_digest(voxels: VoxelMap) -> bytes:
     """Compute the SHA-256 of a map's content, independent of its file's format."""
     digest = hashlib.sha256(np.array([voxels.voxel_m, *voxels.origin], "<f8").tobytes())
+    # cells in a row do not tell their shape
     digest.update(repr(voxels.states.shape).encode())
     digest.update(np.ascontiguousarray(voxels.states).data)
     return digest.digest()

@@ -74,6 +74,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
     shades = _shades(image)
     present = set(np.unique(shades).tolist())
+    # only a picture with no other shades is surely a saver's
     saved = not negate and UNKNOWN_SHADE in present and present <= SAVED
     if saved:
         states[UNKNOWN_SHADE] = UNKNOWN

@@ -61,8 +61,7 @@ class Track:
         """Interpolate the pose at a time.
 
         Positions lie on a straight line, and attitudes on the shortest arc (as chords), between the
-        two
-        poses around it. Returns None beyond the first and last by more than `BEYOND_S`."""
+        two poses around it. Returns None beyond the first and last by more than `BEYOND_S`."""
         times = self.times_s
         if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
             return None
@@ -100,9 +99,9 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
 
     Args:
         path: Matrices of 3 × 4, row by row, as KITTI writes them; or time, position and quaternion
-            x y z w, as TUM does; or these columns in any order, with others among them, under
-            names in the first line, or in a comment above the first row, as EuRoC writes them.
-            Times are in the unit that the header names, or in one that `to_seconds` determines.
+            x y z w, as TUM does; or these columns in any order, with others among them, under names
+            in the first line, or in a comment above the first row, as EuRoC writes them. Times are
+            in the unit that the header names, or in one that `to_seconds` determines.
         timed: Whether times are needed.
 
     Returns:
@@ -157,10 +156,10 @@ def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
     """Recognize columns by name.
 
     Returns for each its name as in `TUM`, or "" for others, and a time's unit, if it is in the
-    name. A
-    column with exactly a name of `TUM` wins over others of that meaning."""
+    name. A column with exactly a name of `TUM` wins over others of that meaning."""
     plain = list[tuple[str, str]]()
     for name in names:
+        # EuRoC writes `timestamp [ns]`
         bare, _, bracket = name.lower().replace(" ", "_").partition("[")
         bare = bare.strip("_")
         if time := TIME_NAME.fullmatch(bare):
@@ -169,6 +168,7 @@ def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
         elif FRACTION_NAME.fullmatch(bare):
             plain.append((FRACTION, ""))
         elif axis := AXIS_NAME.fullmatch(bare):
+            # positions have no w
             quaternion = axis[1] or axis[2] == "w"
             plain.append((f"q{axis[2]}" if quaternion else axis[2], ""))
         else:
@@ -183,8 +183,7 @@ def _check_order(turns: Floats, path: Path) -> None:
     """Raise DatasetError if quaternions (n, 4) of a file without names seem to be w x y z.
 
     They are read as x y z w; if they tilt the sensor in this order, and keep it level as w x y z,
-    the
-    order is ambiguous."""
+    the order is ambiguous."""
     # how far up the sensor's vertical axis points, at least: 1 - 2 (x² + y²)
     as_read, w_first = ((1 - 2 * (turns[:, n : n + 2] ** 2).sum(axis=1)).min() for n in (0, 1))
     if as_read < MAX_TILTED and w_first > MIN_LEVEL:
@@ -216,6 +215,7 @@ def to_seconds(
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     for name, scale in UNITS.items():
         first, last = times[0] * scale, times[-1] * scale
+        # seconds since 1970, if the unit is this one
         likely = MIN_UNIX_S <= last < 10 * MIN_UNIX_S
         if near_s is not None:
             likely |= first <= near_s[-1] and last >= near_s[0]
@@ -279,8 +279,7 @@ def _check_finite(rows: Floats, path: Path) -> None:
 
 def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
     """Read a table as `read_numbers` does, with NaN for words in columns that have names; and the
-    names in
-    the last comment above the first row, if they are as many as its columns."""
+    names in the last comment above the first row, if they are as many as its columns."""
     text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -336,6 +335,7 @@ def pose_of_matrix(row: Floats, where: str) -> Pose:
     """
     matrix, turned = row.reshape(3, 4), np.empty(4)
     turn = matrix[:, :3]
+    # a rotation's rows are orthonormal; the determinant excludes mirrors
     skew = abs(turn @ turn.T - np.eye(3)).max()
     if not skew <= SKEW or np.linalg.det(turn) < 0 or not np.isfinite(row).all():
         raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")

@@ -198,10 +198,8 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     """Read a recipe from a TOML file.
 
     It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
-    [mapping],
-    [known] and [grid] of values that differ from the preset. A sensor of the user's own is
-    imported, so
-    look at the `[lidar] sensor` of a stranger's recipe before you run it.
+    [mapping], [known] and [grid] of values that differ from the preset. A sensor of the user's own
+    is imported, so look at the `[lidar] sensor` of a stranger's recipe before you run it.
 
     Args:
         path: The file.

@@ -91,8 +91,7 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
 @raised_as(SceneError, of=DatasetError)
 def load_map(path: Path) -> Scene:
     """Read a map of a real place, or make one of a point cloud that says where its sensor was.
-    Raises
-    SceneError."""
+    Raises SceneError."""
     notes: tuple[str, ...] = ()
     if path.suffix in CLOUDS:
         plan = path.suffix == ".yaml"
@@ -234,13 +233,11 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
 
     Returns:
         Whether it is a world, and not a part of others; and the files that it includes, directly or
-        by
-        others, resolved.
+        by others, resolved.
 
     Raises:
         SceneError: If a file is not regular or too large, or multiplies geoms beyond the limit.
-            MuJoCo
-            reports other faults.
+            MuJoCo reports other faults.
     """
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
@@ -324,8 +321,7 @@ def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
     """Make the MJCF of a mesh file: a geom for each of its objects, where they stand.
 
     A .glb is in metres with y up, by glTF 2.0; the others do not say, and count as in metres with z
-    up.
-    Colours are ignored.
+    up. Colours are ignored.
 
     Args:
         path: The file.

@@ -1,6 +1,5 @@
 """Screening of MJCF before MuJoCo reads it: documents must be self-contained, of bounded size, and
-made
-of finite numbers."""
+made of finite numbers."""
 
 import hashlib
 import math
@@ -67,8 +66,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
     Returns:
         A digest of its elements without names and colours, in any order. It is equal for documents
         of the same solids that were renamed or reordered, though not for every way to write the
-        same
-        solids (`geometry_digest`).
+        same solids (`geometry_digest`).
 
     Raises:
         BrokenError: If it is not plain, self-contained MJCF, or too large.
@@ -92,6 +90,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
                 f"{name}: more than {MOST_OTHERS} elements besides {', '.join(sorted(SOLIDS))}, or "
                 f"{MOST_ATTRIBUTES} attributes of one; put geoms straight into the worldbody"
             )
+        # most elements have none of these attributes: one set operation spares the look-ups
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
             _check_attributes(tag, attributes, assets, name)
         if suspect:
@@ -114,6 +113,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = _start, _end
+    # entities could expand to gigabytes
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _refuse
     try:
         parser.Parse(document, True)
@@ -126,8 +126,7 @@ def _check_attributes(
     tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str
 ) -> None:
     """Check the files and amounts that an element asks for. Raises BrokenError, or ValueError for
-    words in
-    place of numbers."""
+    words in place of numbers."""
     for key, value in attributes.items():
         where = f"{name}: <{tag} {key}={short(value)}>"
         if key in FILES and value not in assets:

@@ -289,8 +289,7 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
 
 def _drawn(value: Any, rng: Generator) -> Any:
     """Replace each interval in a value by a number from it, with four digits, for people to read it
-    in the
-    manifest."""
+    in the manifest."""
     if isinstance(value, list):
         return [_drawn(part, rng) for part in value]
     if not isinstance(value, str):

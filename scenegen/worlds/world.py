@@ -1,6 +1,5 @@
 """A world: an MJCF document, its files, the model compiled from exactly these bytes, and a digest
-of
-its geometry."""
+of its geometry."""
 
 import hashlib
 import warnings
@@ -32,8 +31,7 @@ def quiet_mujoco() -> Iterator[list[str]]:
     """Redirect MuJoCo's warnings to a list while the block runs.
 
     Otherwise MuJoCo prints them and appends them to a file in the working folder. The handler that
-    was
-    set before is restored afterwards."""
+    was set before is restored afterwards."""
     messages: list[str] = []
     previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(messages.append)
@@ -48,8 +46,7 @@ def quiet_mujoco() -> Iterator[list[str]]:
 @dataclass(frozen=True, eq=False, repr=False)
 class World:
     """A world that an engine can scan. The compiled model is the only source of truth: rays,
-    occupancy and
-    collision checks all read it, whether a recipe drew the world or a person did."""
+    occupancy and collision checks all read it, whether a recipe drew the world or a person did."""
 
     mjcf: bytes
     """The document, UTF-8."""
@@ -96,8 +93,7 @@ class World:
 
     def caster(self, engine: EngineFactory) -> Engine:
         """Return the caster that `engine` makes of this world, cached: flights through it share it.
-        Raises
-        SceneError if the engine refuses the world, or finds no device."""
+        Raises SceneError if the engine refuses the world, or finds no device."""
         if engine not in self._casters:
             with raised_as(SceneError):
                 self._casters[engine] = engine(self.model, self.data)
@@ -231,6 +227,7 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
     """Return the document's own flight_bounds, or the box around all its bounded solids."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, float)
+        # False for NaN, too
         small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
         if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(
@@ -257,9 +254,9 @@ matter are larger."""
 def geometry_digest(solids: Solids) -> bytes:
     """Compute the SHA-256 of a world's filled space: a normal form of every solid, sorted.
 
-    Worlds with the same solids have the same digest, whatever the order, names, bodies or
-    colours, the sign of a quaternion, or which of a solid's equal placings was written (a box
-    turned by 90° with its sizes exchanged). A world moved as a whole is another world."""
+    Worlds with the same solids have the same digest, whatever the order, names, bodies or colours,
+    the sign of a quaternion, or which of a solid's equal placings was written (a box turned by 90°
+    with its sizes exchanged). A world moved as a whole is another world."""
     rows = [np.zeros((0, 16))]
     for shape in np.unique(solids.shape):
         chosen = solids.shape == shape
@@ -282,8 +279,7 @@ def _form(shape: int, size: Floats, position: Floats, rotation: Floats) -> Float
     """Describe each solid of a shape by numbers that depend only on its filled points, (n, 15).
 
     These are position and moments, which do not change with the sign of a quaternion, or if a box
-    is
-    turned by 90° and its sizes are exchanged."""
+    is turned by 90° and its sizes are exchanged."""
     if shape == PLANE:
         normal = rotation[:, :, 2]
         # a plane's position may slide in it: only its distance from the origin counts
@@ -295,6 +291,7 @@ def _form(shape: int, size: Floats, position: Floats, rotation: Floats) -> Float
     elif shape in (CAPSULE, CYLINDER):
         radii = size[:, [0, 0, 1]]
     axes = rotation * radii[:, None, :]
+    # the matrix R diag(r²) Rᵀ: second moments up to a factor
     second = np.einsum("nij,nkj->nik", axes, axes).reshape(-1, 9)
     # second moments are equal for a cube at any attitude, fourth ones are not; those of round
     # shapes would change with a spin about the axis

@@ -1,9 +1,8 @@
 """Point clouds on disk: one function reads a file of any format into one record, a `Cloud`.
 
 `formats` turns the bytes of a file into columns, `columns` finds a point's position, its sensor's
-and
-its time among them, and `read_cloud` makes the record. No file takes more memory than its content
-does."""
+and its time among them, and `read_cloud` makes the record. No file takes more memory than its
+content does."""
 
 import itertools
 import re
@@ -78,16 +77,14 @@ def read_cloud(
         path: One of the file types in `READERS`.
         max_bytes: The largest file that is read.
         columns: Numbers of a point in a file whose columns have no names; by default determined by
-            the
-            format, or the numbers.
+            the format, or the numbers.
 
     Returns:
         The points.
 
     Raises:
         DatasetError: If the file is too large, holds no points, fewer than it promises, or columns
-            that
-            cannot be determined; or if `columns` are given and its fields have names.
+            that cannot be determined; or if `columns` are given and its fields have names.
     """
     if (kind := _kind(path)) not in READERS:
         raise DatasetError(
@@ -99,6 +96,7 @@ def read_cloud(
     try:
         if kind in NAMED:
             table = NAMED[kind](content)
+        # KITTI's layout of folders decides if the numbers do not
         elif kind == ".bin" and path.parent.name == KITTI_FOLDER:
             table = formats.read_kitti(content, columns)
         else:
@@ -128,6 +126,7 @@ def check_scan(points: Floats, origins: ArrayLike, where: str) -> None:
     Raises:
         DatasetError: If a finite point is farther than `MAX_SCAN_M` from its sensor.
     """
+    # the greatest coordinate, not the distance: no square overflows
     away = np.abs(points - np.asarray(origins, float)).max(axis=1)
     far = np.isfinite(away) & (away > MAX_SCAN_M)
     if far.any():
@@ -208,6 +207,7 @@ def scans_in(folder: Path) -> list[Path]:
         DatasetError: If there are more than `MAX_SCANS`.
     """
     matches = (path for path in folder.rglob("*") if path.suffix.lower() in READERS)
+    # one more than the limit shows that there are too many, without a list of all
     scans = list(itertools.islice(matches, MAX_SCANS + 1))
     if len(scans) > MAX_SCANS:
         raise DatasetError(f"{folder}: holds more than {MAX_SCANS} scans; give a folder of fewer")
@@ -218,7 +218,6 @@ def _by_number(path: Path) -> tuple[Path, str, str]:
     """Return a path's sort key in its folder.
 
     2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and digits before letters. Digits
-    after a
-    point are decimals."""
+    after a point are decimals."""
     padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MAX_DIGITS), path.stem)
     return path.parent, padded, path.name

@@ -130,6 +130,7 @@ def _is_transposed(shape: tuple[int, ...], columns: int | None) -> bool:
     if columns is not None:
         if columns not in shape:
             raise ValueError(f"{size}, and --columns {columns}")
+        # a square array has its points in rows
         return columns != width
     if width < MIN_COLUMNS:
         raise ValueError(f"{size}, expected (N, 3): x, y, z in metres")
@@ -147,11 +148,10 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     """Determine how many columns a point has in a file of float32 without names.
 
     There are two criteria. The first three columns are metres: within `FAR_M`, and not tiny as
-    numbers
-    of other types are when read as float32. And columns differ: heights from distances, intensities
-    from both. Read with another number of columns, each column mixes all, and they are alike. The
-    measure is the share of the variance of ranks, of the numbers and of their amounts, that lies
-    between columns. If only one number of columns divides the file, no measure is needed.
+    numbers of other types are when read as float32. And columns differ: heights from distances,
+    intensities from both. Read with another number of columns, each column mixes all, and they are
+    alike. The measure is the share of the variance of ranks, of the numbers and of their amounts,
+    that lies between columns. If only one number of columns divides the file, no measure is needed.
 
     Args:
         values: The whole file, (n,).
@@ -184,11 +184,11 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
 
 def _best_fit(fits: Mapping[int, float], size: int) -> int | None:
     """Return the number of columns that alone divides a file of `size` numbers, or fits far better
-    than
-    all others; None if there is none."""
+    than all others; None if there is none."""
     if len(fits) < 2:
         return next(iter(fits), None)
     best = max(fits.values())
+    # multiples of the right number fit as well: the smallest is right
     count = min(count for count, fit in fits.items() if fit >= SAME_FIT * best)
     rivals = [fit for width, fit in fits.items() if width % count]
     # identically distributed columns stay below this: their fit times the numbers is chi squared
@@ -204,6 +204,7 @@ def _column_fit(values: NDArray[np.float32], count: int) -> float:
     if len(blocks):
         # blocks from all of the file, since its parts may differ
         values = blocks[:: math.ceil(len(blocks) / MAX_BLOCKS)]
+    # rays without a return rank as zeros
     numbers = np.nan_to_num(values.reshape(-1), nan=0.0, posinf=0.0, neginf=0.0)
     shares = []
     for feature in (numbers, np.abs(numbers)):

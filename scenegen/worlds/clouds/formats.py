@@ -95,6 +95,7 @@ def read_ply(content: bytes) -> Table:
         ) from None
     rows = [(name, order + np.dtype(kind).str[1:], (1,)) for name, kind in properties.items()]
     layout = np.dtype(rows)
+    # no copy: a file may have gigabytes
     body = memoryview(content)[end.end() :]
     return _table(body, layout, count, ".ply", "binary" if order else "text")
 
@@ -112,6 +113,7 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     properties = dict(zip(names, types, strict=True))
     is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
     known = set(types) <= set(PLY_TYPES.values())
+    # a dict is shorter than its lines if a name occurs twice
     if not is_ply or len(properties) < len(property_lines) or not known:
         raise ValueError("no vertices, or a property is unknown or there twice")
     return PLY_ORDERS[form], int(count), properties
@@ -185,6 +187,7 @@ def _pcd_count(header: Mapping[str, Sequence[str]]) -> int:
     """Return how many points a PCD's header promises."""
     if "POINTS" not in header and "WIDTH" not in header:
         raise ValueError("its header has no line POINTS, and no WIDTH and HEIGHT")
+    # PCL writes both; POINTS is the total
     sides = ["POINTS"] if "POINTS" in header else ["WIDTH", "HEIGHT"]
     return math.prod(n for side in sides for n in _numbers_of(header, side, [1], int)[:1])
 
@@ -204,8 +207,7 @@ def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     """Unpack a compressed PCD, point after point.
 
     It holds two sizes, and the LZF of one field's values after the other's. Raises ValueError if
-    they do
-    not fit."""
+    they do not fit."""
     packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
     if size != count * layout.itemsize or size > MOST_CLOUD_BYTES:
         raise ValueError(f"unpacks to {size} bytes, expected {layout.itemsize} for each point")
@@ -215,6 +217,7 @@ def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     rows, first = np.zeros(count, layout), 0
     for name in layout.names or ():
         last = first + rows[name].nbytes
+        # from field after field to point after point
         rows[name] = columns[first:last].view(layout[name].base).reshape(rows[name].shape)
         first = last
     return memoryview(rows.tobytes())
@@ -225,8 +228,7 @@ def _unpack_lzf(packed, unpacked):
     """Undo LZF.
 
     A byte below 32 is a count, less one, of literal bytes that follow; another byte holds a length
-    and
-    the high bits of a distance, of bytes to repeat from the output. Returns how many bytes were
+    and the high bits of a distance, of bytes to repeat from the output. Returns how many bytes were
     written, fewer than `unpacked` holds if the input is damaged."""
     offset, written = 0, 0
     while offset < len(packed):
@@ -304,12 +306,12 @@ def _unpack_las(content: bytes) -> Table:
 
 def _check_metric(header: Any, x: Floats, y: Floats, z: Floats) -> None:
     """Raise DatasetError for a LAS file in degrees, judged by its numbers: many files name no
-    coordinate
-    system."""
+    coordinate system."""
     if not len(x):
         return
     fine, tall = header.scales[:2].max(), DEGREES_TALL * max(np.ptp(x), np.ptp(y))
     on_earth = np.abs(x).max() <= 180 and np.abs(y).max() <= 90
+    # fine steps of x and y beside coarse or tall heights: degrees beside metres
     if on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or np.ptp(z) > tall):
         raise DatasetError(
             "has geographic coordinates, degrees; expected metres, z up: project it first, to UTM "
@@ -337,6 +339,7 @@ def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding:
         starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
         columns = text_columns(content, {n: starts[names.index(n)] for n in fields}, count)
     else:
+        # fewer points than promised are refused below, with both counts
         rows = np.frombuffer(content, layout, min(count, len(content) // layout.itemsize))
         columns = {name: rows[name][:, 0] for name in fields}
     if (held := len(columns["x"])) != count:
@@ -396,6 +399,7 @@ def read_xyz(content: bytes) -> Table:
     if set(words) >= set("xyz"):
         # others may be words, such as a time of day
         places, content = {axis: words.index(axis) for axis in "xyz"}, body
+    # else the commas would make two numbers of one
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     columns = text_columns(content.replace(b",", b" "), places, MOST_POINTS + 1)

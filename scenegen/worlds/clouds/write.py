@@ -92,8 +92,8 @@ def write_points(
         path: The file.
         points: Positions (M, 3), metres.
         intensity: Of each point (M,), if there is any; a .bin has 0 without it.
-        about: Further arrays and texts by name, for an .npz. If `frame` is "world", a .pcd
-            has `sensor_position` as its viewpoint.
+        about: Further arrays and texts by name, for an .npz. If `frame` is "world", a .pcd has
+            `sensor_position` as its viewpoint.
     """
     write_result(path, encode_points(path.suffix, points, intensity, about))
 

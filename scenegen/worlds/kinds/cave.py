@@ -107,6 +107,7 @@ class Cave(Classed):
             high = height - height_at(roof, self.size_m, x, y)
             long, wide, side = rng.random(3).tolist()
             reach = (high - low) * (0.25 + 0.6 * long)
+            # none in the rock, or where there is little room
             if high - low > 1.0:
                 # seven of ten hang; feet reach into the rock, so that no gap shows
                 foot, up = (high + 0.1, -1.0) if side < 0.7 else (low - 0.1, 1.0)
@@ -130,6 +131,7 @@ class Cave(Classed):
             np.linspace(0.0, y_m, shape[0]), np.linspace(0.0, x_m, shape[1]), indexing="ij"
         )
         count = int(rng.integers(self.chambers[0], self.chambers[1] + 1))
+        # middles keep off the edges, so that most of a chamber lies in the world
         chambers = rng.uniform((4.0, 4.0), (x_m - 4.0, y_m - 4.0), (count, 2))
         radii = rng.uniform(*self.chamber_m, count)
         outside = np.full(shape, np.inf)

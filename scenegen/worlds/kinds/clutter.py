@@ -70,6 +70,7 @@ class Clutter(Classed):
         for octave in range(self.octaves):
             noise += noise_field(places, patch / 2**octave, rng=rng) / 2**octave
         # the least of -log(u) / weight: drawn without replacement, by weight (Efraimidis 2006)
+        # noise^contrast; 1e-6, since the logarithm of 0 is infinite
         weight = exp(self.contrast * log(np.maximum(noise / noise.max(), 1e-6)))
         keys = -log(rng.uniform(1e-12, 1.0, len(places))) / np.maximum(weight, 1e-30)
         places = places[np.argsort(keys, kind="stable")[:n]]

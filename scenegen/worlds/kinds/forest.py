@@ -98,6 +98,7 @@ class Forest(Classed):
     def _tree(self, parts: Parts, *, rng: Generator) -> None:
         """Add two limbs of a trunk, perhaps a third that forks off, and a crown."""
         height, radius = rng.uniform(*self.height_m), rng.uniform(*self.trunk_m)
+        # an offset along x and y for each of the two limbs
         lean = self.lean * rng.uniform(-1.0, 1.0, (2, 2)) * height / 2
         knee = (*lean[0].tolist(), 0.45 * height)
         top = (*(lean[0] + lean[1]).tolist(), 0.85 * height)

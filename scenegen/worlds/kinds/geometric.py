@@ -119,6 +119,7 @@ class Geometric(WorldKind):
         # the earlier solid to stack each on, drawn for all so that shares do not change other draws
         on = rng.integers(0, np.maximum(np.arange(count), 1))
         reach = _half_height(shape, size, tilt)
+        # one number decides among standing, stacked and floating
         standing = place < self.standing_share
         z = np.where(standing, reach, free_height)
         stacked = ~standing & (place < self.standing_share + self.stacked_share)

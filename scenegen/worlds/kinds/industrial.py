@@ -66,6 +66,7 @@ class Industrial(Classed):
         density = (
             3 * self.tank_density[1] + 6 * self.machine_density[1] + 60 * self.scaffold_density[1]
         )
+        # pipes and catwalks may run along either edge
         long = max(x_m, y_m)
         columns = (x_m / self.column_m[0] + 1) * (y_m / self.column_m[0] + 2)
         pipes, walks = self.bundles[1] * (30 + long / 2), self.catwalks[1] * (4 * long + 30)
@@ -80,6 +81,7 @@ class Industrial(Classed):
         """
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         apart = rng.uniform(*self.column_m)
+        # rows of columns under beams that cross the hall
         for x in np.arange(apart / 2, x_m, apart).tolist():
             for y in np.arange(apart / 2, y_m, apart).tolist():
                 parts.box("column", (x - 0.15, y - 0.15, 0), (x + 0.15, y + 0.15, z_m))
@@ -95,6 +97,7 @@ class Industrial(Classed):
         ):
             inside = ((1.0, 1.0), (x_m - 1.0, y_m - 1.0))
             for x, y in scattered(density, x_m * y_m, *inside, rng=rng):
+                # quarter turns, in line with the hall
                 make(parts.at(x, y, 0.0, int(rng.integers(0, 4)) * QUARTER), rng=rng)
         parts.add_to(spec)
 
@@ -110,8 +113,10 @@ class Industrial(Classed):
         # the shorter edge, since the lane may run along either
         long, z = min(self.size_m[:2]), rng.uniform(0.4, self.size_m[2] - 1.0)
         y = 0.0
+        # side by side: the next pipe begins beyond the last one's surface
         for radius in rng.uniform(*self.pipe_m, int(rng.integers(1, 6))).tolist():
             y += radius
+            # half of the pipes end in the hall's second half, and turn down there
             end = long * (0.5 + 0.5 * rng.random()) if rng.random() < 0.5 else long
             parts.rod("pipe", (0, y, z), (end, y, z), radius)
             if end < long:
@@ -125,6 +130,7 @@ class Industrial(Classed):
 
     def _tank(self, parts: Parts, *, rng: Generator) -> None:
         radius, (long, lying) = rng.uniform(*self.tank_m), rng.random(2).tolist()
+        # lying tanks have round ends and a saddle, upright ones a domed top
         if lying < 0.4:
             half, z = radius * (0.8 + long), radius + 0.5
             parts.rod("tank", (-half, 0, z), (half, 0, z), radius)
@@ -151,6 +157,7 @@ class Industrial(Classed):
                 parts.rod("fence", (0, y, z + up), (long, y, z + up), 0.025)
         foot = rng.uniform(0.2, 0.6) * long
         for n in range(int(z / 0.2)):
+            # the flight of stairs runs beside the grating
             low = (foot + 0.25 * n, -1.0, 0.2 * n + 0.12)
             parts.box("stairs", low, (low[0] + 0.28, -0.1, 0.2 * n + 0.18))
 

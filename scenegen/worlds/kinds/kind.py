@@ -75,8 +75,7 @@ class WorldKind(ABC):
         """Return the greatest number of solids in a world.
 
         By default, parameters named `…density` count them per square metre; a kind that counts
-        otherwise
-        overrides this."""
+        otherwise overrides this."""
         densities = [value for name, value in vars(self).items() if name.endswith("density")]
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
@@ -195,8 +194,7 @@ def attitudes(count: int, tilted_share: float, *, rng: Generator) -> Floats:
 
 def _disc(count: int, *, rng: Generator) -> tuple[Floats, Floats]:
     """Draw points (count, 2) uniform in the unit disc without its centre, and their squared
-    distances
-    (count,) from it."""
+    distances (count,) from it."""
     points, square = np.zeros((count, 2)), np.zeros(count)
     missing = np.arange(count)
     while len(missing):

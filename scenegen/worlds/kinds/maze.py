@@ -139,6 +139,7 @@ class Maze(Classed):
         places = (chances.size_0, chances.place_0), (chances.size_1, chances.place_1)
         window: list[Span] = []
         for n, (size, place) in zip(along, places, strict=True):
+            # a rim of wall remains around a window
             wide = min(narrowest + size * (widest - narrowest), size_m[n] - 0.2)
             # only upright walls have slits, up to the ceiling
             if axis < 2 and chances.slit < self.slit_share:

@@ -1,6 +1,5 @@
 """Building blocks of kinds: boxes, rods and balls by class, in frames of their own; uneven ground;
-and
-random places by density."""
+and random places by density."""
 
 import itertools
 from collections.abc import Sequence
@@ -233,6 +232,7 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     for corner in itertools.product((0, 1), repeat=points.shape[1]):
         weight = np.ones(len(points))
         for axis, far in enumerate(corner):
+            # multilinear interpolation between the cell's corners
             weight = weight * (part[:, axis] if far else 1.0 - part[:, axis])
         noise += weight * lattice[tuple((whole + np.array(corner)).T)]
     return noise
@@ -288,6 +288,7 @@ def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> f
         The least height at the four points of the lattice around it, metres.
     """
     rows, columns = heights.shape
+    # places on the rim belong to the outermost cell
     i = min(max(int(y / size_m[1] * (rows - 1)), 0), rows - 2)
     j = min(max(int(x / size_m[0] * (columns - 1)), 0), columns - 2)
     return float(heights[i : i + 2, j : j + 2].min())

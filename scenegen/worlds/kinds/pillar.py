@@ -49,8 +49,8 @@ class Pillar(WorldKind):
     oblong_ratio: float = number(3.0, least=1, most=1000)
     """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
-    """Share of pillars set beside an earlier one, a passage's width away; a few then stand
-    outside `size_m`."""
+    """Share of pillars set beside an earlier one, a passage's width away; a few then stand outside
+    `size_m`."""
     passage_m: Range = (0.7, 1.2)
     """Width of those passages between the pillars' round hulls, metres; between flat sides they are
     wider. Source: from a little more than the robot's 0.6 m to twice that: the paper's "narrow

@@ -19,8 +19,8 @@ PIECES = ("table", "chair", "shelf", "cupboard", "sofa")
 @dataclass(frozen=True, kw_only=True)
 class Rooms(Classed):
     """A floor plan by recursive division: rooms on both sides of a corridor, every room reached by
-    a door. Measures are those that building codes and furniture makers use (doors .9 m wide and
-    2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
+    a door. Measures are those that building codes and furniture makers use (doors .9 m wide and 2.0
+    m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
 
     version = 2
     graded = {
@@ -92,6 +92,7 @@ class Rooms(Classed):
         """
         parts, (x_m, y_m, _) = self.begun("floor"), self.size_m
         height, half = rng.uniform(*self.height_m), rng.uniform(*self.wall_half_thickness_m)
+        # a narrow world keeps room on both sides
         wide = min(rng.uniform(*self.corridor_m), y_m / 3)
         low = rng.uniform(0.35, 0.65) * y_m - wide / 2
         # the corridor is the first room, and crosses the plan
@@ -134,6 +135,7 @@ class Rooms(Classed):
             door = None
             # rooms that a door joins already have a second way only by chance
             if length > width + 4 * half and (join(joins, *pair) or loop < self.loop_share):
+                # a wall's thickness remains at either end
                 begin = low + 2 * half + place * (length - width - 4 * half)
                 door = ((begin, begin + width), (0.0, top))
                 middle = (at, begin + width / 2)
@@ -145,6 +147,7 @@ class Rooms(Classed):
         for axis, at, low, high in _rim_edges(rooms, self.size_m):
             sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
             begin = (low + high - width) / 2
+            # a lintel of 0.1 m or more remains
             window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
             opening = window if rng.random() < self.window_share else None
             parts.wall("wall", axis, at, half, ((low, high), (0.0, height)), opening)
@@ -170,6 +173,7 @@ def _divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> li
     if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
         return [room]
     at = rng.uniform(shortest, longer - shortest)
+    # across the longer edge, so that rooms do not become corridors
     if x1 - x0 >= y1 - y0:
         halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
     else:
@@ -197,6 +201,7 @@ def _shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[_Edge, tuple[int, in
         for axis in (0, 1):
             along = 1 - axis
             low, high = max(room_a[along], room_b[along]), min(room_a[along + 2], room_b[along + 2])
+            # either may lie before the other on this axis
             for first, second in ((room_a, room_b), (room_b, room_a)):
                 if first[axis + 2] == second[axis] and high - low > 1e-9:
                     edges.append((_Edge(axis, second[axis], low, high), (a, b)))
@@ -254,6 +259,7 @@ def _furnish(
     """Furnish a room with pieces per square metre, none in front of its doors."""
     x0, y0, x1, y1 = room
     pieces = round(density * (x1 - x0) * (y1 - y0) + rng.uniform(-0.5, 0.5))
+    # off the walls by about half a piece
     inside = ((x0 + 0.9, y0 + 0.9), (max(x1 - 0.9, x0 + 0.9), max(y1 - 0.9, y0 + 0.9)))
     for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
         kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
@@ -266,5 +272,6 @@ def _stairs(parts: Parts, low: Point, length: float, height: float) -> None:
     """Add steps along x that rise from `low` until `length` or `height` ends them, metres."""
     x, y, z = low
     for n in range(min(int(height / 0.17), int(length / 0.28))):
+        # slabs of up to 0.37 m, so that stairs are open below
         step = (x + 0.28 * n, y, z + max(0.17 * n - 0.2, 0.0))
         parts.box("stairs", step, (step[0] + 0.3, y + 1.1, z + 0.17 * (n + 1)))

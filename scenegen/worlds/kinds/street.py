@@ -13,6 +13,7 @@ from scenegen.worlds.kinds.kind import Classed, Range, Size
 from scenegen.worlds.kinds.parts import Parts, Point, scattered
 
 STOREY_M = 3.2
+# the second side is the first one turned by half a turn
 SIDES = ((1, 0.0), (-1, np.pi))
 
 
@@ -101,6 +102,7 @@ class Street(Classed):
                 frame.box("sidewalk", (0, road / 2, 0), (x_m, y_m / 2, 0.14))
             self._houses(frame, road / 2 + pavement, rng=rng)
             self._pavement(frame, road / 2, pavement, rng=rng)
+            # parking spaces along the kerb
             for x in np.arange(0.5, x_m - 5.0, 6.2).tolist():
                 if rng.random() < self.car_share:
                     _car(frame.at(x + 2.5, road / 2 - 1.1), rng=rng)
@@ -126,11 +128,13 @@ class Street(Classed):
         bays = max(int(width / rng.uniform(*self.bay_m)), 1)
         bay, pier = width / bays, rng.uniform(0.25, 0.45)
         arcade, gable = rng.random(2).tolist()
+        # the facade begins above an arcade
         if first := int(arcade < self.arcade_share):
             _colonnade(parts, (width, deep, STOREY_M), bays, pier, rng=rng)
         _facade(parts, (width, deep), bays, pier, relief, (first * STOREY_M, top))
         for storey in range(first, storeys):
             z = storey * STOREY_M
+            # a sill below the windows, and a cornice at the ceiling
             parts.box("building", (0, relief / 2, z + 0.7), (width, relief, z + 0.95))
             parts.box("building", (0, -0.1, z + STOREY_M - 0.25), (width, relief, z + STOREY_M))
             # none at the ground; drawn for every storey, so that the number of draws is the same
@@ -147,6 +151,7 @@ class Street(Classed):
         posts = np.arange(rng.uniform(0.5, gap), x_m, gap).tolist()
         height, wired = rng.uniform(5.0, 8.0), rng.random() < self.wire_share
         _lamp_posts(parts, posts, kerb, height, wired=wired)
+        # a few signs at random places of the pavement
         for x, out in rng.uniform((0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)).tolist():
             parts.rod("pole", (x, kerb + out, 0), (x, kerb + out, 2.4), 0.04)
             parts.box("sign", (x - 0.35, kerb + out - 0.05, 1.9), (x + 0.35, kerb + out, 2.6))
@@ -185,6 +190,7 @@ def _balcony(parts: Parts, width: float, *, rng: Generator) -> None:
 def _colonnade(parts: Parts, size: Point, bays: int, pier: float, *, rng: Generator) -> None:
     """Add a ground floor of `size` that stands back behind a row of columns along x at y = 0."""
     width, deep, high = size
+    # the block that carries the upper storeys, set back
     parts.box("building", (0, rng.uniform(1.8, 2.8), 0), (width, deep, high))
     for n in range(bays + 1):
         x = min(max(n * (width / bays), pier / 2), width - pier / 2)

@@ -90,6 +90,7 @@ class Warehouse(Classed):
         x = rng.uniform(1.0, aisle)
         # a double rack is 2.2 m deep
         while x + 2.3 < x_m:
+            # both drawn for every row, so that shares do not change other draws
             empty, belt = rng.random(2).tolist()
             # before and behind the cross aisle
             row = ((0.8, gap - cross / 2), (gap + cross / 2, y_m - 0.8))
@@ -100,6 +101,7 @@ class Warehouse(Classed):
             elif belt < self.conveyor_share:
                 _conveyor(parts.at(x + 0.6, 1.0), y_m - 2.0, rng=rng)
             else:
+                # the floor of a row without a rack
                 area = 2.2 * (y_m - 2.0)
                 drawn = rng.uniform((x, 1.0), (x + 2.2, y_m - 1.0), (round(goods * area), 2))
                 for a, b in drawn.tolist():
@@ -107,6 +109,7 @@ class Warehouse(Classed):
             x += 2.2 + aisle
         if rng.random() < self.truss_share:
             for y in np.arange(2.5, y_m, 5.0).tolist():
+                # a truss is 1.16 m high, and hangs below the roof
                 _truss(parts.at(0.0, y, z_m - 1.2), x_m)
         parts.add_to(spec)
 
@@ -121,6 +124,7 @@ class Warehouse(Classed):
         rng: Generator,
     ) -> None:
         """Add a double rack along y: frames, beams, and pallets on them."""
+        # frames end above the last beam
         high = levels * tall + 0.3
         for bay in range(bays + 1):
             for x in (0.0, 1.0, 2.1):
@@ -132,6 +136,7 @@ class Warehouse(Classed):
                     parts.box("shelf", (x, 0, z - 0.12), (x + 0.08, BAY_M * bays, z))
             # one load for the three places of a bay on each side
             loaded = rng.random((2, bays)) < fill
+            # height and length of a load: below the next beam, within the bay
             sizes = rng.uniform((0.5, 1.2), (tall - 0.35, 2.55), (2, bays, 2)).tolist()
             for side in range(2):
                 for bay in np.flatnonzero(loaded[side]).tolist():
