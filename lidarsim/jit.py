@@ -79,7 +79,8 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Any:
 
 @cache
 def _numba() -> Any:
-    """Import numba, and teach it that a `_Kernel` in a kernel's body stands for a dispatcher."""
+    """Import numba, and register that it types a `_Kernel` in another kernel's body as its
+    dispatcher."""
     import numba
     from numba.core import event
     from numba.extending import typeof_impl

@@ -13,10 +13,11 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 MOST_RAYS = 1_000_000
 """The most rays of one scan."""
 LEAST_RANGE_M, MOST_RANGE_M = 1e-3, 1e4
-"""A range is stored in float32, which here still tells millimetres apart."""
+"""Bounds of a sensor's range, metres. Ranges are stored in float32, which here still resolves
+millimetres."""
 MIN_RETURN_M = 0.1
-"""Where a sensor's minimum range is not known: nearer returns are of its carrier, or stand for rays
-without one, metres."""
+"""The minimum range of unknown sensors, metres: nearer points are the carrier, or rays without a
+return."""
 MOST_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_TRIANGLES = 5_000_000
@@ -25,11 +26,11 @@ it: 360 MB."""
 
 
 BOUNDS = "bounds"
-"""Key of a field's metadata under which its `Bounds` stand."""
+"""Key of a field's metadata for its `Bounds`."""
 FILE = "file"
-"""Key of a field's metadata that says that a table may give the path of a file."""
+"""Key of the metadata of fields for which a table may give the path of a file."""
 MOST_TEXT = 300
-"""The most characters of what a sensor says of itself."""
+"""The most characters of a sensor's description of itself."""
 MOST_SHOWN = 60
 """The most characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}

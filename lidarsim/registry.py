@@ -21,7 +21,7 @@ from typing import Any
 MOST_NAMED = 100
 """Characters of a name that an error repeats."""
 MOST_SUGGESTED = 4
-"""Names of which an error asks whether one was meant."""
+"""The most names that an error suggests."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Registry:
     builtin: Mapping[str, str]
     """Names of those that come with the toolkit, each with its ``module:Object``."""
     needs: Mapping[str, str] = field(default_factory=dict)
-    """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins,
-    …) -> ranges"}."""
+    """Attributes that every object must have, each with a description, such as {"cast":
+    "a method: (origins, …) -> ranges"}."""
 
     def find(self, name: str) -> Any:
         """Import the object called `name`.

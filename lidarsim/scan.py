@@ -13,7 +13,7 @@ from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
 
 MIN_REPEATED, REPEATED_SHARE = 20, 0.01
-"""How many points of a scan, and which share of all, must be one and the same to be no returns."""
+"""Equal points are not returns if they are this many, and this share of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
 
 
 def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
-    """Tell returns from what sensors and drivers give for rays without one.
+    """Select returns among ranges, some of which stand for rays without a return.
 
     Args:
         ranges: Metres from the sensor, of any shape.
@@ -113,11 +113,11 @@ def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
 def are_returns(
     points: Floats, sensors: ArrayLike = (0.0, 0.0, 0.0), min_range_m: float = MIN_RETURN_M
 ) -> Mask:
-    """Tell the returns among a scan's points, see `is_return`.
+    """Select the returns among a scan's points, see `is_return`.
 
-    Drivers write 0 0 0, NaN or infinity for a ray without a return. Where somebody moved the cloud
-    into another frame, the zeros lie at the sensor; where nobody says where that is, they are one
-    point that is there again and again, see `_repeated`.
+    Drivers write 0 0 0, NaN or infinity for a ray without a return. If the cloud was moved into
+    another frame, the zeros lie at the sensor; if the sensor's place is unknown, they are one point
+    that occurs again and again, see `_repeated`.
 
     Args:
         points: (N, 3), metres.

@@ -310,7 +310,7 @@ def _check_shapes(model: mujoco.MjModel, seen: Mask) -> None:
 
 
 def _name(model: mujoco.MjModel, chosen: Mask) -> str:
-    """The name of the first of the `chosen` geoms, or its number where it has none."""
+    """Return the name of the first of the `chosen` geoms, or its number if it has none."""
     first = int(np.argmax(chosen))
     return model.geom(first).name or f"number {first}"
 

@@ -21,7 +21,7 @@ corners is less."""
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrid:
-    """What scans tell about a grid. A voxel that is neither free nor observed is unknown."""
+    """The state of a grid after scans. A voxel that is neither free nor observed is unknown."""
 
     observed: Mask
     """(*shape): holds at least one return."""

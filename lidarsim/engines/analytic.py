@@ -275,7 +275,8 @@ class AnalyticEngine:
         max_range_m: float,
         through: ArrayLike | None,
     ) -> tuple[Floats, Ints, Floats, Floats] | None:
-        """What `_meet` gives for the rays of one pose, where they are among those cast last."""
+        """Return the result of `_meet` for the rays of one pose, if they are among the last cast;
+        else None."""
         last = self._last  # another thread may cast meanwhile
         starts, rays = np.asarray(origins, float), np.asarray(directions, float)
         shape = rays.shape[:-1]

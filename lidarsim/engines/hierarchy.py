@@ -34,7 +34,7 @@ class Hierarchy:
     their parents."""
 
     boxes: Floats
-    """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there
+    """(m, 6, 4): least and greatest corner of every child's box, metres. The box of a missing child
     has no inside."""
     links: NDArray[np.uint64]
     """(m, 4): a child's own node, or where the items of a leaf begin in `order`."""

@@ -14,13 +14,12 @@ NEAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within
 range."""
 SPARE_M = 1e-6
-"""How much larger geoms' boxes are in that copy: what is left out by them does not depend on
-rounding."""
+"""Padding of geoms' boxes in that copy, metres: rounding then decides on no geom."""
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""If its squared length is so near to 1, a vector is taken as it is; beyond, it is made a unit
-vector."""
+"""Vectors whose squared length is within this of 1 are used unchanged; others are scaled to
+length 1."""
 
 
 class MujocoEngine:

@@ -48,7 +48,7 @@ GOLDEN, FIRST, SECOND = (
 )
 """SplitMix64's step, and its factors."""
 HALF, LOWER, TWICE = np.uint64(32), np.uint64(2**32 - 1), 2.0**-31
-"""Either half of a word as a whole number, and what takes it to a coordinate from -1 to 1."""
+"""Shift and mask for the halves of a word, and the factor from a half to the interval of 0 to 2."""
 SHIFTS = (np.uint64(30), np.uint64(27), np.uint64(31))
 
 
@@ -197,13 +197,14 @@ class Returns:
     origins: Floats
     """(*shape, 3): where every ray began, in the world."""
     directions: Floats
-    """(*shape, 3): where it went."""
+    """(*shape, 3): unit vectors of the rays, in the world."""
     told_origins: Floats
-    """(*shape, 3): where the sensor takes it to have begun; `origins`, unless it moves unawares."""
+    """(*shape, 3): where the ray began as the sensor reports it; other than `origins` if it moves
+    without knowing."""
     told_directions: Floats
-    """(*shape, 3): where the sensor takes it to have gone."""
+    """(*shape, 3): the ray's direction as the sensor reports it."""
     intensity: Floats | None = None
-    """(echoes, *shape), from 0 to 1; None where no stage gives it."""
+    """(echoes, *shape), from 0 to 1; None unless a stage adds it."""
 
     @classmethod
     def of(cls, scan: Scan) -> "Returns":

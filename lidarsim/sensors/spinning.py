@@ -123,7 +123,7 @@ class Coil(Windowed):
 
 
 FINEST_DEG = 0.04
-"""Beams of no sensor that is sold stand closer on average; angles given in radians seem to."""
+"""The least mean distance of beams, degrees: no sensor has less, but angles in radians seem to."""
 
 
 @dataclass(frozen=True, kw_only=True)

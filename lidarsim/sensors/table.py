@@ -48,9 +48,9 @@ class BeamTable:
     max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres."""
     made_by: str = ""
-    """What the table was made by, for people to read."""
+    """The sensor or program that made the table, for people."""
     sha256: str = ""
-    """The SHA-256 of `npy`, in hexadecimal; given, what the file of the rays must have."""
+    """The SHA-256 of `npy`, in hexadecimal; a given one must be that of the rays' file."""
 
     def __post_init__(self) -> None:
         source: Any = self.rays

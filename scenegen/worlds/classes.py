@@ -21,14 +21,13 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True, kw_only=True)
 class Labels:
-    """What decides the class of a geom, and what classes there are.
+    """The rule by which geoms have classes, and the list of classes.
 
     By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
     a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
     material in the same way. A geom without such a name is of the class of its shape. By `group`,
     it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same for
-    all kinds of worlds: the material's, and "other" for a geom whose material has another name.
-    """
+    all kinds of worlds: the material's, and "other" for a geom whose material has another name."""
 
     by: By
     classes: tuple[str, ...]
@@ -52,7 +51,7 @@ class Labels:
 
 
 OTHER = "other"
-"""The class of a solid whose material is none of these."""
+"""The class of a solid whose material is not a class."""
 _REFLECTS = """
 other      0.40  1.00 1.00 1.00
 road       0.17  1.00 1.00 1.05

@@ -59,11 +59,11 @@ class CloudMap:
     voxels: VoxelMap
     """The map."""
     offset: Floats
-    """(3,): what was taken off the file's coordinates, metres."""
+    """(3,): subtracted from the file's coordinates, metres."""
     points: int
-    """How many points there are in the map, or cells in the plan that it is made of."""
+    """Count of points in the map; of a floor plan, its known cells."""
     read: str
-    """What was read, in a line for people."""
+    """A line for people about the files."""
 
 
 def map_clouds(
@@ -155,7 +155,7 @@ class _Returns(NamedTuple):
     points: Floats
     """(N, 3)."""
     origins: Floats
-    """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if nobody knows."""
+    """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if unknown."""
     layout: str
     """See `Cloud`."""
     recorded: int

@@ -28,7 +28,7 @@ SHAPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box"
 SIZES = {SPHERE: 1, CAPSULE: 2, ELLIPSOID: 3, CYLINDER: 2, BOX: 3, HFIELD: 0}
 """Shapes that are written here, and how many sizes they have."""
 MAX_WRITTEN = 4096
-"""The most solids of a document without a <size memory> of its own, see `memory_bytes`."""
+"""The most solids for which the least <size memory> suffices, see `memory_bytes`."""
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 """The default attitude of solids, w x y z."""
 COLUMNS = (slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 14))
@@ -70,7 +70,7 @@ class Drawing:
     def __init__(self, flight_bounds: Floats):
         self._bounds = tuple(np.asarray(flight_bounds, float).reshape(-1).tolist())
         self._solids: list[Solid] = []
-        """Those that the spec, if there is one, has not got yet."""
+        """Solids that are not in the spec yet."""
         self._fields = 0
         self._spec: mujoco.MjSpec | None = None
 

@@ -412,4 +412,4 @@ def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
 
 
 TRIES = 50
-"""Flights tried before a world counts as too narrow, where one pose is asked for."""
+"""Flights tried for a single pose before the world counts as too narrow."""

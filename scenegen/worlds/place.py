@@ -184,15 +184,15 @@ class Place:
     `scenegen.worlds.world.World`."""
 
     name: str
-    """What the map's file is called in an archive."""
+    """Name of the map's file in an archive."""
     content: bytes
     """That file."""
     unseen: tuple[str, ...] = ()
     """Nothing: a map has no geoms."""
     albedo: None = None
-    """A map does not know what reflects how much."""
+    """Unknown: a map holds no reflectivities."""
     opened: bool = False
-    """Whether what is unknown counts as free, and not as solid."""
+    """Whether unknown space counts as free, and not as solid."""
 
     @property
     def mjcf(self) -> bytes:
@@ -235,8 +235,6 @@ class Place:
         bounds, clearance = self.flight_bounds, self.clearance
         for point in rng.uniform(bounds[0], bounds[1], (TRIES, 3)):
             if clearance.at(*point) >= radius_m:
-                # planning in the whole map would take long, and mostly leave the flight's
-                # surroundings
                 reach = LOCAL * length_m
                 return np.clip([point - reach, point + reach], *bounds)
         return bounds

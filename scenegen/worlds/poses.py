@@ -37,8 +37,8 @@ MIN_UNIX_S = 1e9
 MAX_STEP_S = 60.0
 """The time between scans or poses is at most this (median), seconds."""
 MIN_LEVEL, MAX_TILTED = math.cos(math.radians(30)), math.cos(math.radians(60))
-"""Where quaternions can be taken as w x y z or x y z w, they are of a level sensor in one order if
-the upward axis always has a vertical part above the first, and of a tilted one below the second."""
+"""Bounds of the vertical part of a sensor's upward axis. Read in some order, quaternions are a
+level sensor's if it is always above the first, a tilted one's if it ever falls below the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Track:
     times_s: Floats
     """(n,), seconds, rising; NaN where no time is known."""
     poses: Sequence[Pose]
-    """As many."""
+    """n poses."""
     form: str = ""
     """How they were read from a file, for people."""
 

@@ -69,12 +69,10 @@ class Faults(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything besides the seed and the counts that decides a dataset's content.
+    """Everything that determines a dataset's content, except the seed and the counts.
 
-    Raises ValueError, naming the table, where flights have no room in the world, or where
-    parameters that are fine each ask together for more memory or time than `scenegen.base.limits`
-    allows.
-    """
+    Raises ValueError, naming the table, if flights have no room in the world, or if parameters that
+    are valid by themselves together need more memory or time than `scenegen.base.limits` allows."""
 
     kind: str
     """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF
@@ -86,14 +84,14 @@ class Recipe:
     flight: Flight = field(default_factory=Flight)
     accept: Acceptance = field(default_factory=Acceptance)
     lidar: Sensor = field(default_factory=Lidar)
-    """The sensor. One that is no raster becomes the table of its rays, which needs no code of the
-    user's any more."""
+    """The sensor. Unless it is a raster, it becomes the table of its rays, which does not need the
+    user's code."""
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
-    """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
+    """The noise of ranges. Worlds, flights and viewpoints do not depend on it."""
     parts: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    """Settings of the parts of samples that were asked for, by their names in
-    `scenegen.draw.parts.PARTS`. Nothing else depends on them."""
+    """Settings of optional parts of samples, by their names in `scenegen.draw.parts.PARTS`. Nothing
+    else depends on them."""
     mapping: Mapper = field(default_factory=Mapper)
     """Which scans make a map, how the sensor is held, and where the map lies."""
     known: Known | None = None

@@ -31,8 +31,8 @@ COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 PART = "<mujocoinclude"
 """Root of a file that only others include."""
 MAX_SHIFT = 1e-6
-"""How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
-as much again: what float32 vertices keep."""
+"""Tolerance of a solid's place, metres, and as much again for each metre of the world's reach: the
+precision of float32 vertices."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from scenegen.base.files import Json, read_bounded
 from scenegen.base.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
-"""A decimal number: its dot is no dotted key's; a list of beams has many in a line."""
+"""A decimal number, whose dot is not that of a dotted key; a list of beams has many in a line."""
 _INTERVAL = re.compile(
     r"(?<![\w.])(-?\d{1,9}(?:\.\d{1,9})?)\.\.(-?\d{1,9}(?:\.\d{1,9})?)(?![\w.])", re.ASCII
 )

@@ -26,7 +26,7 @@ MAX_SCANS = 100_000
 MAX_DIGITS = 255
 """Digits of a number in a file's name."""
 KITTI_FOLDER = "velodyne"
-"""What KITTI calls the folder of a sequence's clouds."""
+"""KITTI's name of the folder with a sequence's clouds."""
 MAX_SCAN_M = 1e5
 """No sensor has a return from farther away than this, metres."""
 

@@ -95,7 +95,7 @@ def read_ply(content: bytes) -> Table:
         ) from None
     rows = [(name, order + np.dtype(kind).str[1:], (1,)) for name, kind in properties.items()]
     layout = np.dtype(rows)
-    # no copy: a file may have gigabytes
+    # no copy: a file may be large
     body = memoryview(content)[end.end() :]
     return _table(body, layout, count, ".ply", "binary" if order else "text")
 
