@@ -162,10 +162,13 @@ class ModelSolids:
         self._model = model
         self._seen = visible_geoms(model)
         _check_shapes(model, self._seen)
-        bent = self._seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
-        self._plain, self._bent = np.flatnonzero(self._seen & ~bent), np.flatnonzero(bent)
-        self._shape = model.geom_type[self._plain].astype(np.int64)
-        self._size = model.geom_size[self._plain].astype(np.float64)
+        has_mesh = self._seen & ((model.geom_type == MESH) | (model.geom_type == HFIELD))
+        self._primitive_geoms, self._mesh_geoms = (
+            np.flatnonzero(self._seen & ~has_mesh),
+            np.flatnonzero(has_mesh),
+        )
+        self._shape = model.geom_type[self._primitive_geoms].astype(np.int64)
+        self._size = model.geom_size[self._primitive_geoms].astype(np.float64)
         # geoms may share a mesh
         surface = functools.cache(
             lambda shape, number: (
@@ -173,15 +176,16 @@ class ModelSolids:
             )
         )
         self._surfaces = [
-            surface(int(model.geom_type[geom]), int(model.geom_dataid[geom])) for geom in self._bent
+            surface(int(model.geom_type[geom]), int(model.geom_dataid[geom]))
+            for geom in self._mesh_geoms
         ]
         self._start = np.cumsum([0, *(len(faces) for _, faces, _ in self._surfaces)])
         self._filled = np.array([closed for *_, closed in self._surfaces], bool)
-        self.geom = np.concatenate([self._plain, self._bent])
+        self.geom = np.concatenate([self._primitive_geoms, self._mesh_geoms])
         """(n + m,): see `Solids.geom`."""
         self._triangles = np.empty((int(self._start[-1]), 3, 3))
         # NaN equals nothing, so the first call of `at` computes every triangle
-        self._placed = np.full((len(self._bent), 12), np.nan)
+        self._placed = np.full((len(self._mesh_geoms), 12), np.nan)
 
     def at(self, data: mujoco.MjData) -> Solids:
         """Compute the solids at the places that `data` gives.
@@ -206,10 +210,12 @@ class ModelSolids:
         check_forwarded(self._model, data)
         for field, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat)):
             _check_numbers(self._model, field, values, self._seen)
-        position = data.geom_xpos[self._plain].astype(np.float64)
-        rotation = data.geom_xmat[self._plain].reshape(-1, 3, 3).astype(np.float64)
+        position = data.geom_xpos[self._primitive_geoms].astype(np.float64)
+        rotation = data.geom_xmat[self._primitive_geoms].reshape(-1, 3, 3).astype(np.float64)
         lower, upper = bounding_boxes(self._shape, self._size, position, rotation)
-        placed = np.concatenate([data.geom_xpos[self._bent], data.geom_xmat[self._bent]], axis=1)
+        placed = np.concatenate(
+            [data.geom_xpos[self._mesh_geoms], data.geom_xmat[self._mesh_geoms]], axis=1
+        )
         moved = np.flatnonzero((placed != self._placed).any(axis=1))
         if len(moved):
             # a copy, since solids that were returned before hold the old array
@@ -217,12 +223,12 @@ class ModelSolids:
             for n in moved:
                 vertices, faces, _ = self._surfaces[n]
                 # term by term: what a matrix product gives depends on the processor
-                columns = data.geom_xmat[self._bent[n]].reshape(3, 3).T
+                columns = data.geom_xmat[self._mesh_geoms[n]].reshape(3, 3).T
                 world = (vertices[:, :1] * columns[0] + vertices[:, 1:2] * columns[1]) + vertices[
                     :, 2:
                 ] * columns[2]
                 self._triangles[self._start[n] : self._start[n + 1]] = (
-                    world + data.geom_xpos[self._bent[n]]
+                    world + data.geom_xpos[self._mesh_geoms[n]]
                 )[faces]
         return Solids(
             self._shape,

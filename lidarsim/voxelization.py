@@ -156,7 +156,7 @@ def sort_points(
         grid: Shape and voxels of the grid.
         origin: (3,): its least corner, metres.
         reach_m: Points farther away clear the voxels up to here, and mark none.
-        into: A grid to add to, in place; returns outweigh free space.
+        into: A grid to add to, in place. Its marks stay, but voxels with a new return are not free.
 
     Returns:
         `into`, or a new grid.

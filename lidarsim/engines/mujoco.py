@@ -72,18 +72,20 @@ class MujocoEngine:
         lower, upper = _boxes(self._model, self._data)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             length2 = (vectors * vectors).sum(axis=-1)
-            odd, rough = (~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED))
+            invalid, rough = (
+                ~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED)
+            )
             if rough.any():  # MuJoCo would count in lengths of the vector, and stop at one without
                 vectors[rough] /= np.sqrt(length2[rough])[:, None]
-                vectors[odd] = 1.0, 0.0, 0.0
+                vectors[invalid] = 1.0, 0.0, 0.0
         count = int(np.prod(ranges.shape[1:]))
         geoms, distances = np.empty(count, np.int32), np.empty(count)
         for p, origin in enumerate(starts):
             if not np.isfinite(origin).all():
-                odd[p] = True
+                invalid[p] = True
                 continue
-            away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
-            self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
+            gap = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
+            self._model.geom_group[:] = (gap**2).sum(axis=1) > max_range_m * max_range_m
             mujoco.mj_multiRay(
                 self._model,
                 self._data,
@@ -100,7 +102,7 @@ class MujocoEngine:
             )
             missed = (geoms < 0) | (distances > max_range_m)
             ranges[p] = np.where(missed, np.inf, distances).reshape(ranges[p].shape)
-        ranges[odd] = np.inf
+        ranges[invalid] = np.inf
         return ranges
 
 

@@ -160,8 +160,8 @@ class Spurious(Fault):
         """
         first = returns.ranges[0]
         # 1 - u lies above 0: a range of 0 would be no return
-        chosen, where = rng.random(first.shape) < self.share, 1.0 - rng.random(first.shape)
-        spurious = np.where(chosen, where * np.minimum(first, view.sensor.max_range_m), first)
+        chosen, place = rng.random(first.shape) < self.share, 1.0 - rng.random(first.shape)
+        spurious = np.where(chosen, place * np.minimum(first, view.sensor.max_range_m), first)
         return returns.but(ranges=np.concatenate([spurious[None], returns.ranges[1:]]))
 
     def bound_m(self, max_range_m: float) -> float:
@@ -205,13 +205,13 @@ class Motion(Fault):
         body = view.sensor.directions_body
         # rays of a pose that has not moved keep the bits of the clean scan
         origins, directions = returns.origins.copy(), returns.directions.copy()
-        for now in grouped(number_of):
-            shift, turn = self.moved((number_of[now][0] + 0.5) * length)
+        for group in grouped(number_of):
+            shift, turn = self.moved((number_of[group][0] + 0.5) * length)
             if shift.any() or turn:
                 sine, cosine = sin_cos(turn / 2)
-                turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[now])
-                origins[now] = view.pose.position + rotate(view.pose.quaternion, shift[None])[0]
-                directions[now] = rotate(view.pose.quaternion, turned)
+                turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[group])
+                origins[group] = view.pose.position + rotate(view.pose.quaternion, shift[None])[0]
+                directions[group] = rotate(view.pose.quaternion, turned)
         ranges = view.cast(origins, directions)[None]
         reported = (
             {"told_origins": origins, "told_directions": directions} if self.corrected else {}

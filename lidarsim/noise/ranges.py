@@ -192,9 +192,9 @@ class Divergence(Fault):
         for n in range(self.rays):
             # Vogel's sunflower: radii as the square root of the number cover the disc evenly. The
             # half angle is 5e-4 rad per milliradian of the full one, and taken for its tangent
-            away = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
+            offset = 5e-4 * self.mrad * math.sqrt((n + 0.5) / self.rays)
             sine, cosine = sin_cos(n * GOLDEN)
-            ray = along + away * (cosine * axis + sine * cross_axis)
+            ray = along + offset * (cosine * axis + sine * cross_axis)
             hits[n] = view.cast(
                 returns.origins, ray / np.sqrt((ray**2).sum(axis=-1, keepdims=True))
             )
@@ -232,9 +232,12 @@ def _echoes(hits: Floats, resolution_m: float) -> tuple[Floats, Ints]:
         begin = np.where(new, hit, begin)
         total = np.where(new, 0.0, total) + np.where(met, hit, 0.0)
         count = np.where(new, 0, count) + met
-        some = count > 0
+        is_open = count > 0
         np.put_along_axis(
-            means, number[None], np.where(some, total / np.maximum(count, 1), np.inf)[None], axis=0
+            means,
+            number[None],
+            np.where(is_open, total / np.maximum(count, 1), np.inf)[None],
+            axis=0,
         )
         np.put_along_axis(weights, number[None], count[None], axis=0)
     return means, weights

@@ -83,9 +83,9 @@ class Rosette(Windowed):
         left *= math.radians(self.horizontal_fov_deg / 2)
         up *= math.radians(self.vertical_fov_deg / 2)
         # the deflection's angle; its sine over it scales the offsets to a unit vector
-        away = np.sqrt(left**2 + up**2)
-        sine, cosine = sin_cos(away)
-        along = np.divide(sine, away, out=np.ones(away.shape), where=away > 0)
+        deflection = np.sqrt(left**2 + up**2)
+        sine, cosine = sin_cos(deflection)
+        along = np.divide(sine, deflection, out=np.ones(deflection.shape), where=deflection > 0)
         return np.stack([cosine, along * left, along * up], axis=-1)
 
 

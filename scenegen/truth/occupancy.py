@@ -209,8 +209,8 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
     # stage 0 seeks the lowest cube, stage 1 the highest
     low, high, stage = int(lowest), int(highest), 0
     while low + stage < high:
-        at = low if stage == 0 else high - 1
-        h = dz + float(at) * voxel_m
+        cell = low if stage == 0 else high - 1
+        h = dz + float(cell) * voxel_m
         step = 1
         meets = h >= sure0 and h <= sure1
         if not meets:

@@ -172,8 +172,8 @@ class Gltf:
         uri = buffer.get("uri")
         if uri is None and number == 0:
             return self.binary
-        where = "nowhere" if uri is None else f"in another file, {short(uri)}"
-        raise BrokenError(f"has numbers {where}; export it as one .glb")
+        location = "nowhere" if uri is None else f"in another file, {short(uri)}"
+        raise BrokenError(f"has numbers {location}; export it as one .glb")
 
 
 def read_gltf(content: bytes) -> Gltf:

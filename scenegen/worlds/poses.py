@@ -283,10 +283,10 @@ def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
     text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):
-        content, _, after = line.partition("#")
+        content, _, remark = line.partition("#")
         words = content.replace(",", " ").split()
         if not words and not rows:
-            comment = _cells(after) or comment
+            comment = _cells(remark) or comment
         row = list(map(_number, words))
         finite = all(map(math.isfinite, row))
         # a first line with words is the header

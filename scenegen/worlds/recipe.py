@@ -243,16 +243,18 @@ def _with_options(tables: Json, where: str, options: Json) -> Json:
     return {**tables, **options}
 
 
-def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
+def _graded(kind: type[WorldKind], level: Any, prefix: str) -> Json:
     """Return the parameters in which a kind's preset of this difficulty differs from its
     defaults."""
     known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
-        raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {', '.join(known)}")
+        raise RecipeError(
+            f"{prefix}difficulty = {short(level)}: expected one of {', '.join(known)}"
+        )
     return known[level]
 
 
-def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, at: str) -> None:
+def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, prefix: str) -> None:
     """Raise RecipeError if `world` has more values of another preset than of `level`'s.
 
     Only the parameters in which the kind's presets differ are counted."""
@@ -260,14 +262,16 @@ def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, at: str) 
     names = sorted({name for values in levels.values() for name in values})
     alike = {}
     for preset_level, values in levels.items():
-        begun = from_table(kind, values, f"{at}difficulty {preset_level}", Path())
-        alike[preset_level] = sum(getattr(world, name) == getattr(begun, name) for name in names)
+        preset_world = from_table(kind, values, f"{prefix}difficulty {preset_level}", Path())
+        alike[preset_level] = sum(
+            getattr(world, name) == getattr(preset_world, name) for name in names
+        )
     nearest = max(alike, key=lambda preset_level: alike[preset_level])
     if alike[level] < alike[nearest]:
         raise RecipeError(
-            f"{at}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of the "
-            f"{nearest} preset and {alike[level]} of that one ({', '.join(names)}); leave one of "
-            "the two out"
+            f"{prefix}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of "
+            f"the {nearest} preset and {alike[level]} of that one ({', '.join(names)}); "
+            "leave one of the two out"
         )
 
 
@@ -307,18 +311,18 @@ def make_recipe(
     }
     if "known" in tables:
         kinds["known"] = Known
-    at = f"{where}: " if where else ""
+    prefix = f"{where}: " if where else ""
     tables = _with_options(tables, where, given)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
-        with raised_as(RecipeError, at):
+        with raised_as(RecipeError, prefix):
             world = find_kind(kind)
         kinds["world"] = world
         defaults = {"flight": world.flight_defaults, "accept": world.accept_defaults}
-        defaults["world"] = _graded(world, level, at)
+        defaults["world"] = _graded(world, level, prefix)
     elif level != "medium":
-        raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
+        raise RecipeError(f"{prefix}difficulty: worlds from MJCF files have none; leave it out")
     sensor = given.get("lidar")
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
@@ -327,29 +331,30 @@ def make_recipe(
         # TOML puts a key behind a table's line into that table, and one before it into none
         if owners and name not in kinds and not isinstance(table, dict):
             raise RecipeError(
-                f"{at}{name} stands in no table; expected it below the line {' or '.join(owners)}"
+                f"{prefix}{name} stands in no table; "
+                f"expected it below the line {' or '.join(owners)}"
             )
         check_name(name, tuple(sorted(kinds)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(
-                f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
+                f"{prefix}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
     # the user's values come last, and win
     values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
     lidar = values.pop("lidar")
     parts = {
-        name: from_table(kinds[name], table, f"{at}[{name}]", folder)
+        name: from_table(kinds[name], table, f"{prefix}[{name}]", folder)
         for name, table in values.items()
     }
     if kind != "scene" and level != "medium":
-        _check_graded(world, level, parts["world"], at)
+        _check_graded(world, level, parts["world"], prefix)
     if sensor is None:
-        sensor = sensor_of(lidar, f"{at}[lidar]", folder)
+        sensor = sensor_of(lidar, f"{prefix}[lidar]", folder)
     # after the sensor: `datasheet` stands for the sensor's own noise
-    noise = named_noise(parts["noise"].stages or None, sensor, at and f"{at}[noise]")
+    noise = named_noise(parts["noise"].stages or None, sensor, prefix and f"{prefix}[noise]")
     parts |= {"lidar": sensor, "noise": noise}
-    reason = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
-    with raised_as(RecipeError, at), raised_as(RecipeError, reason, of=TypeError):
+    reason = f"{prefix}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, prefix), raised_as(RecipeError, reason, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **parts)
         # a user's own parameters may be of any type
         json.dumps(recipe.resolved())

@@ -292,8 +292,8 @@ def _objects(path: Path, notes: list[str]) -> Placed:
 def _gltf(content: bytes, notes: list[str]) -> Placed:
     """Read the objects of a .glb; see `_objects`."""
     # a damaged file may break any look-up in its JSON
-    again = "its parts do not fit together: ", "; export it again"
-    with raised_as(BrokenError, *again, of=(LookupError, TypeError, ValueError, AttributeError)):
+    message = "its parts do not fit together: ", "; export it again"
+    with raised_as(BrokenError, *message, of=(LookupError, TypeError, ValueError, AttributeError)):
         file = read_gltf(content)
         notes += file.notes()
         for name, corners, faces in file.objects():

@@ -127,12 +127,12 @@ def check_scan(points: Floats, origins: ArrayLike, where: str) -> None:
         DatasetError: If a finite point is farther than `MAX_SCAN_M` from its sensor.
     """
     # the greatest coordinate, not the distance: no square overflows
-    away = np.abs(points - np.asarray(origins, float)).max(axis=1)
-    far = np.isfinite(away) & (away > MAX_SCAN_M)
+    offset = np.abs(points - np.asarray(origins, float)).max(axis=1)
+    far = np.isfinite(offset) & (offset > MAX_SCAN_M)
     if far.any():
         raise DatasetError(
             f"{where}: {np.count_nonzero(far)} of {len(points)} points lie up to "
-            f"{away[far].max():.3g} m from the sensor, expected {MAX_SCAN_M:g} m at most; give "
+            f"{offset[far].max():.3g} m from the sensor, expected {MAX_SCAN_M:g} m at most; give "
             "metres, where the sensor is, and NaN where nothing returned"
         )
 

@@ -121,7 +121,7 @@ def encode_points(
     if intensity is not None or suffix == ".bin":
         names.append("intensity")
         columns.append(np.zeros((len(points), 1)) if intensity is None else intensity[:, None])
-    head, count, many = "", len(points), len(names)
+    head, count, width = "", len(points), len(names)
     if suffix == ".ply":
         properties = "".join(f"property float {name}\n" for name in names)
         head = f"""ply
@@ -134,9 +134,9 @@ element vertex {count}
         stood = " ".join(map(repr, place))
         head = f"""VERSION 0.7
 FIELDS {" ".join(names)}
-SIZE{" 4" * many}
-TYPE{" F" * many}
-COUNT{" 1" * many}
+SIZE{" 4" * width}
+TYPE{" F" * width}
+COUNT{" 1" * width}
 WIDTH {count}
 HEIGHT 1
 VIEWPOINT {stood} 1 0 0 0

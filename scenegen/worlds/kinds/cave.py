@@ -136,11 +136,11 @@ class Cave(Classed):
         radii = rng.uniform(*self.chamber_m, count)
         outside = np.full(shape, np.inf)
         for (middle_x, middle_y), radius in zip(chambers.tolist(), radii.tolist(), strict=True):
-            apart = np.sqrt((x - middle_x) ** 2 + (y - middle_y) ** 2)
-            outside = np.minimum(outside, apart - radius)
+            distance = np.sqrt((x - middle_x) ** 2 + (y - middle_y) ** 2)
+            outside = np.minimum(outside, distance - radius)
         for start, end in self._tunnels(chambers, rng=rng):
-            apart = _from_segment(x, y, start, end)
-            outside = np.minimum(outside, apart - rng.uniform(*self.tunnel_m))
+            distance = _from_segment(x, y, start, end)
+            outside = np.minimum(outside, distance - rng.uniform(*self.tunnel_m))
         return outside
 
     def _tunnels(self, chambers: Floats, *, rng: Generator) -> list[tuple[Floats, Floats]]:
@@ -148,9 +148,9 @@ class Cave(Classed):
         2)."""
         count, tunnels = len(chambers), []
         for n in range(1, count):
-            apart = ((chambers[:n] - chambers[n]) ** 2).sum(axis=1)
+            distance2 = ((chambers[:n] - chambers[n]) ** 2).sum(axis=1)
             # each to the nearest earlier one: a tree, so all chambers are joined
-            tunnels.append((chambers[n], chambers[int(apart.argmin())]))
+            tunnels.append((chambers[n], chambers[int(distance2.argmin())]))
         for _ in range(round(self.loop_share * count)):
             first, second = rng.integers(0, count, 2).tolist()
             tunnels.append((chambers[first], chambers[second]))
@@ -158,8 +158,8 @@ class Cave(Classed):
             start = chambers[int(rng.integers(0, count))]
             angle, far = rng.random(2).tolist()
             sine, cosine = sin_cos(np.array(2 * np.pi * angle))
-            away = (8.0 + 8.0 * far) * np.array([cosine, sine])
-            tunnels.append((start, start + away))
+            offset = (8.0 + 8.0 * far) * np.array([cosine, sine])
+            tunnels.append((start, start + offset))
         return tunnels
 
 

@@ -80,10 +80,10 @@ class Industrial(Classed):
             rng: Decides everything that is random.
         """
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
-        apart = rng.uniform(*self.column_m)
+        spacing = rng.uniform(*self.column_m)
         # rows of columns under beams that cross the hall
-        for x in np.arange(apart / 2, x_m, apart).tolist():
-            for y in np.arange(apart / 2, y_m, apart).tolist():
+        for x in np.arange(spacing / 2, x_m, spacing).tolist():
+            for y in np.arange(spacing / 2, y_m, spacing).tolist():
                 parts.box("column", (x - 0.15, y - 0.15, 0), (x + 0.15, y + 0.15, z_m))
             parts.box("beam", (x - 0.12, 0, z_m - 0.5), (x + 0.12, y_m, z_m))
         for _ in range(round(rng.uniform(*self.bundles))):

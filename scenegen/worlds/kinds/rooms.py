@@ -126,7 +126,7 @@ class Rooms(Classed):
         shared, joins = _shared_edges(rooms), dict[int, int]()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
         for n in rng.permutation(len(shared)).tolist():
-            (axis, at, low, high), pair = shared[n]
+            (axis, coordinate, low, high), pair = shared[n]
             width, top = rng.uniform(*self.door_width_m), min(self.door_height_m, height)
             place, loop, wider = rng.random(3).tolist()
             length = high - low
@@ -138,19 +138,19 @@ class Rooms(Classed):
                 # a wall's thickness remains at either end
                 begin = low + 2 * half + place * (length - width - 4 * half)
                 door = ((begin, begin + width), (0.0, top))
-                middle = (at, begin + width / 2)
+                middle = (coordinate, begin + width / 2)
                 for room in pair:
                     doors[room].append(middle if axis == 0 else middle[::-1])
             # so much longer that walls meet in the corners
             span = ((low - half, high + half), (0.0, height))
-            parts.wall("wall", axis, at, half, span, door)
-        for axis, at, low, high in _rim_edges(rooms, self.size_m):
+            parts.wall("wall", axis, coordinate, half, span, door)
+        for axis, coordinate, low, high in _rim_edges(rooms, self.size_m):
             sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
             begin = (low + high - width) / 2
             # a lintel of 0.1 m or more remains
             window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
             opening = window if rng.random() < self.window_share else None
-            parts.wall("wall", axis, at, half, ((low, high), (0.0, height)), opening)
+            parts.wall("wall", axis, coordinate, half, ((low, high), (0.0, height)), opening)
         return doors
 
     def _fit_out(self, parts: Parts, room: Rectangle, height: float, *, rng: Generator) -> None:
@@ -172,12 +172,12 @@ def _divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> li
     # the limit is random: rooms of all allowed sizes occur
     if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
         return [room]
-    at = rng.uniform(shortest, longer - shortest)
+    cut = rng.uniform(shortest, longer - shortest)
     # across the longer edge, so that rooms do not become corridors
     if x1 - x0 >= y1 - y0:
-        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
+        halves = ((x0, y0, x0 + cut, y1), (x0 + cut, y0, x1, y1))
     else:
-        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
+        halves = ((x0, y0, x1, y0 + cut), (x0, y0 + cut, x1, y1))
     return [part for half in halves for part in _divided(half, edges_m, rng=rng)]
 
 
@@ -186,7 +186,7 @@ class _Edge(NamedTuple):
 
     axis: int
     """The one across the edge."""
-    at: float
+    coordinate: float
     """Where the edge is on that axis, metres."""
     low: float
     """Where it begins on the other axis, metres."""

@@ -152,9 +152,11 @@ class Street(Classed):
         height, wired = rng.uniform(5.0, 8.0), rng.random() < self.wire_share
         _lamp_posts(parts, posts, kerb, height, wired=wired)
         # a few signs at random places of the pavement
-        for x, out in rng.uniform((0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)).tolist():
-            parts.rod("pole", (x, kerb + out, 0), (x, kerb + out, 2.4), 0.04)
-            parts.box("sign", (x - 0.35, kerb + out - 0.05, 1.9), (x + 0.35, kerb + out, 2.6))
+        for x, offset in rng.uniform(
+            (0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)
+        ).tolist():
+            parts.rod("pole", (x, kerb + offset, 0), (x, kerb + offset, 2.4), 0.04)
+            parts.box("sign", (x - 0.35, kerb + offset - 0.05, 1.9), (x + 0.35, kerb + offset, 2.6))
         for (x,) in scattered(self.tree_density, x_m * wide, (1.0,), (x_m - 1.0,), rng=rng):
             _tree(parts.at(x, kerb + 1.0), rng.uniform(4.0, 8.0), rng=rng)
         for x, long in scattered(self.bush_density, x_m * wide, (0.0, 1.0), (x_m, 5.0), rng=rng):
@@ -177,14 +179,14 @@ def _tree(parts: Parts, height: float, *, rng: Generator) -> None:
 
 def _balcony(parts: Parts, width: float, *, rng: Generator) -> None:
     """Add a balcony along x, in front of y = 0, with a wall or a railing."""
-    out = rng.uniform(0.8, 1.4)
-    parts.box("building", (0, -out, -0.15), (width, 0, 0.0))
+    depth = rng.uniform(0.8, 1.4)
+    parts.box("building", (0, -depth, -0.15), (width, 0, 0.0))
     if rng.random() < 0.5:
-        parts.box("fence", (0, -out, 0), (width, -out + 0.08, 1.0))
+        parts.box("fence", (0, -depth, 0), (width, -depth + 0.08, 1.0))
     else:
-        parts.limb("fence", (0, -out, 1.0), (width, -out, 1.0), 0.03)
+        parts.limb("fence", (0, -depth, 1.0), (width, -depth, 1.0), 0.03)
         for x in np.linspace(0.0, width, 5).tolist():
-            parts.limb("fence", (x, -out, 0), (x, -out, 1.0), 0.02)
+            parts.limb("fence", (x, -depth, 0), (x, -depth, 1.0), 0.02)
 
 
 def _colonnade(parts: Parts, size: Point, bays: int, pier: float, *, rng: Generator) -> None:
