@@ -1,6 +1,7 @@
-"""Sensors that fire one beam after the other: spinning LiDARs, with beams at fixed elevations on a
-head that turns; and sensors whose pattern does not repeat, of two motions whose rates have no
-common measure, of which a scan is a window in time."""
+"""Sensors that fire one beam after the other.
+
+Spinning LiDARs have beams at fixed elevations on a turning head. Sensors with a pattern that does
+not repeat have two motions whose rates have no common measure; a scan is a window in time."""
 
 import math
 from dataclasses import dataclass
@@ -75,14 +76,16 @@ class Rosette(Windowed):
             (self.first_hz, 1 - self.second_share),
             (self.second_hz, self.second_share),
         ):
+            # the fraction of a turn: large angles would lose digits
             sine, cosine = sin_cos(2 * math.pi * np.remainder(rate * time, 1.0))
             left += share * cosine
             up += share * sine
         left *= math.radians(self.horizontal_fov_deg / 2)
         up *= math.radians(self.vertical_fov_deg / 2)
-        away = np.sqrt(left**2 + up**2)
-        sine, cosine = sin_cos(away)
-        along = np.divide(sine, away, out=np.ones(away.shape), where=away > 0)
+        # the deflection's angle; its sine over it scales the offsets to a unit vector
+        deflection = np.sqrt(left**2 + up**2)
+        sine, cosine = sin_cos(deflection)
+        along = np.divide(sine, deflection, out=np.ones(deflection.shape), where=deflection > 0)
         return np.stack([cosine, along * left, along * up], axis=-1)
 
 
@@ -113,13 +116,14 @@ class Coil(Windowed):
         """See `Device.directions_sensor`."""
         time = self._turns_begun_s
         swing = np.remainder(self.swings_hz * time, 1.0)
+        # a triangle wave: up in the first half, down in the second
         height = np.where(swing < 0.5, 2 * swing, 2 - 2 * swing)
         elevation = self.lowest_deg + (self.highest_deg - self.lowest_deg) * height
         return pointing(elevation, 180.0 - 360.0 * np.remainder(self.turns_hz * time, 1.0))
 
 
 FINEST_DEG = 0.04
-"""Beams of no sensor that is sold stand closer on average; angles given in radians seem to."""
+"""The least mean distance of beams, degrees: no sensor has less, but angles in radians seem to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +162,7 @@ class Spinning(Device):
                 "elevations_deg = []: a sensor has one beam at least; give the elevation of each, "
                 "degrees"
             )
+        # exactly one of the two determines the other
         if (self.columns == 0) == (self.firing_cycle_s == 0):
             raise ValueError(
                 f"columns = {self.columns}, firing_cycle_s = {self.firing_cycle_s}: expected one "
@@ -169,11 +174,14 @@ class Spinning(Device):
                 raise ValueError(
                     f"{name}: {count} numbers for {beams} beams; expected one for each, or none"
                 )
-        ways = zip(self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True)
-        if len(set(ways)) < beams:
+        directions = zip(
+            self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True
+        )
+        if len(set(directions)) < beams:
             raise ValueError(
                 "elevations_deg: two beams point the same way; expected different ones"
             )
+        # real beams are not as dense as FINEST_DEG, but angles in radians look so
         span = max(self.elevations_deg) - min(self.elevations_deg)
         if beams > 3 and span < FINEST_DEG * (beams - 1):
             raise ValueError(
@@ -196,6 +204,7 @@ class Spinning(Device):
         """(beams, columns)."""
         columns = self.columns or 1.0 / (self.rate_hz * self.firing_cycle_s)
         return len(self.elevations_deg), math.floor(
+            # + 1e-9: rounding must not cost a column
             columns * self.horizontal_fov_deg / 360.0 + 1e-9
         )
 
@@ -210,6 +219,7 @@ class Spinning(Device):
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         offsets = np.array(self.azimuth_offsets_deg or (0.0,))[:, None]
+        # degrees since the scan began, centred on the forward axis
         turned = 360.0 * self.rate_hz * self.times_s - self.horizontal_fov_deg / 2
         return pointing(
             np.array(self.elevations_deg)[:, None],

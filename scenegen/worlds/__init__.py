@@ -1,1 +1,1 @@
-"""Worlds: what an MJCF document or a map holds, where one may fly in it, and what stands where."""
+"""Worlds: MJCF documents and maps, the flights in them, and the classes of their solids."""

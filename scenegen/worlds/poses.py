@@ -1,4 +1,4 @@
-"""Where a sensor was: poses in text files, and poses between those that are known."""
+"""Poses of sensors: read from text files, and interpolated."""
 
 import math
 import re
@@ -17,15 +17,14 @@ from scenegen.base.files import read_bounded
 from scenegen.base.limits import MOST_ASSET_BYTES, MOST_HEADER_BYTES
 
 BEYOND_S = 0.1
-"""How long before the first pose, or after the last, that pose still holds, seconds."""
+"""The first pose holds for this time before it, the last one after it, seconds."""
 SKEW = 0.01
-"""How far a matrix may be from a rotation, and a quaternion's length from 1: six digits are
-usual."""
+"""Tolerance of a rotation matrix, and of a quaternion's length: files usually have six digits."""
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and of a CSV file that names none."""
 TIME_NAME = re.compile(r"(?:.*\.)?(?:t|time_?stamp|time|stamp|secs?)(?:_(s|ms|us|ns))?")
 FRACTION, FRACTION_NAME = "fraction", re.compile(r"(?:.*[._])?n(?:ano)?secs?")
-"""The nanoseconds that some programs keep apart from whole seconds, in a column of their own."""
+"""The column of nanoseconds that some programs write beside one of whole seconds."""
 AXIS_NAME = re.compile(
     r"(?:(?:.*\.)?(?:(q_rs|q|quat|quaternion|rot|rotation|orientation)"
     r"|p_rs_r|p|t|pos|position|translation)[_.]?)?([xyzw])"
@@ -38,8 +37,8 @@ MIN_UNIX_S = 1e9
 MAX_STEP_S = 60.0
 """The time between scans or poses is at most this (median), seconds."""
 MIN_LEVEL, MAX_TILTED = math.cos(math.radians(30)), math.cos(math.radians(60))
-"""Where quaternions can be taken as w x y z or x y z w, they are of a level sensor in one order if
-the upward axis always has a vertical part above the first, and of a tilted one below the second."""
+"""Bounds of the vertical part of a sensor's upward axis. Read in some order, quaternions are a
+level sensor's if it is always above the first, a tilted one's if it ever falls below the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +48,7 @@ class Track:
     times_s: Floats
     """(n,), seconds, rising; NaN where no time is known."""
     poses: Sequence[Pose]
-    """As many."""
+    """n poses."""
     form: str = ""
     """How they were read from a file, for people."""
 
@@ -59,28 +58,39 @@ class Track:
         return bool(np.isfinite(self.times_s).all())
 
     def at(self, time_s: float) -> Pose | None:
-        """The pose at a time: positions on a straight line, and attitudes on the shortest arc (as
-        chords), between the two around it. None beyond the first and last by more than
-        `BEYOND_S`."""
+        """Interpolate the pose at a time.
+
+        Positions lie on a straight line, and attitudes on the shortest arc (as chords), between the
+        two poses around it. Returns None beyond the first and last by more than `BEYOND_S`."""
         times = self.times_s
         if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
             return None
-        where = float(np.interp(time_s, times, np.arange(len(times))))
-        before = int(where)
+        position = float(np.interp(time_s, times, np.arange(len(times))))
+        before = int(position)
         after = min(before + 1, len(times) - 1)
-        return between(self.poses[before], self.poses[after], where - before)
+        return between(self.poses[before], self.poses[after], position - before)
 
 
 def between(one: Pose, other: Pose, share: float) -> Pose:
-    """The pose that lies `share` of the way from one to the other; beyond them, too."""
+    """Interpolate two poses, or extrapolate.
+
+    Args:
+        one: The pose at 0.
+        other: The pose at 1.
+        share: The place on the way.
+
+    Returns:
+        The pose.
+    """
     a, b = one.quaternion, other.quaternion
+    # a quaternion and its negative are one rotation: the nearer sign makes the shorter arc
     turned = (1 - share) * a + share * (b if a @ b >= 0 else -b)
     position = (1 - share) * one.position + share * other.position
     return Pose(position, unit(turned))
 
 
 def inverse(pose: Pose) -> Pose:
-    """The pose of the world in the frame of what stands at `pose`."""
+    """Invert a pose: that of the world in the frame of a body at `pose`."""
     return Pose(-rotate(pose.back, pose.position), pose.back)
 
 
@@ -89,9 +99,9 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
 
     Args:
         path: Matrices of 3 × 4, row by row, as KITTI writes them; or time, position and quaternion
-            x y z w, as TUM does; or these columns in any order, with others among them, under
-            names in the first line, or in a comment above the first row, as EuRoC writes them.
-            Times are in the unit that the header names, or in one that `to_seconds` determines.
+            x y z w, as TUM does; or these columns in any order, with others among them, under names
+            in the first line, or in a comment above the first row, as EuRoC writes them. Times are
+            in the unit that the header names, or in one that `to_seconds` determines.
         timed: Whether times are needed.
 
     Returns:
@@ -101,10 +111,12 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
         DatasetError: The file has another form, or can be read in two ways. Names the line.
     """
     names, rows, comment = _read_table(path)
+    # KITTI's files have no times: they are in a file of their own
     if not names and rows.shape[1] == 12:
         poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
         return Track(np.full(len(rows), np.nan), poses, "matrices as KITTI's")
     if not names and any("q" in name for name, _ in _column_names(comment)):
+        # EuRoC and others write the names in a comment
         names = comment
     named = _column_names(names or TUM[: rows.shape[1]])
     columns = {
@@ -117,9 +129,10 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
             f"{path}: {rows.shape[1]} columns without {', '.join(missing) or 'names'}; expected 12 "
             f"as in KITTI, or {', '.join(TUM)}; others need their names in the first line"
         )
-    if twice := [name for name in columns if len(columns[name]) > 1]:
-        raise DatasetError(f"{path}: several columns for {twice[0]}; expected one called so")
+    if duplicates := [name for name in columns if len(columns[name]) > 1]:
+        raise DatasetError(f"{path}: several columns for {duplicates[0]}; expected one called so")
     table = rows[:, [columns[name][0] for name in TUM]]
+    # whole seconds and nanoseconds apart; without such a column the sum is 0
     table[:, 0] += 1e-9 * rows[:, columns[FRACTION]].sum(axis=1)
     _check_finite(table, path)
     rising = np.diff(table[:, 0]) > 0
@@ -140,10 +153,13 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
 
 
 def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
-    """For each of a table's columns, its name as in `TUM`, or "" for others, and a time's unit, if
-    it is named. A column that is called as in `TUM` goes before others of that meaning."""
+    """Recognize columns by name.
+
+    Returns for each its name as in `TUM`, or "" for others, and a time's unit, if it is in the
+    name. A column with exactly a name of `TUM` wins over others of that meaning."""
     plain = list[tuple[str, str]]()
     for name in names:
+        # EuRoC writes `timestamp [ns]`
         bare, _, bracket = name.lower().replace(" ", "_").partition("[")
         bare = bare.strip("_")
         if time := TIME_NAME.fullmatch(bare):
@@ -152,6 +168,7 @@ def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
         elif FRACTION_NAME.fullmatch(bare):
             plain.append((FRACTION, ""))
         elif axis := AXIS_NAME.fullmatch(bare):
+            # positions have no w
             quaternion = axis[1] or axis[2] == "w"
             plain.append((f"q{axis[2]}" if quaternion else axis[2], ""))
         else:
@@ -163,8 +180,10 @@ def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _check_order(turns: Floats, path: Path) -> None:
-    """Raise DatasetError if quaternions (n, 4) of a file without names are those of a level sensor
-    as w x y z, but not as x y z w, the order in which they are read."""
+    """Raise DatasetError if quaternions (n, 4) of a file without names seem to be w x y z.
+
+    They are read as x y z w; if they tilt the sensor in this order, and keep it level as w x y z,
+    the order is ambiguous."""
     # how far up the sensor's vertical axis points, at least: 1 - 2 (x² + y²)
     as_read, w_first = ((1 - 2 * (turns[:, n : n + 2] ** 2).sum(axis=1)).min() for n in (0, 1))
     if as_read < MAX_TILTED and w_first > MIN_LEVEL:
@@ -181,7 +200,7 @@ def to_seconds(
 
     Args:
         times: (n,), in an unknown unit.
-        where: What an error's line begins with.
+        where: The beginning of an error's line.
         unit: The unit in `UNITS`, if it is known.
         near_s: Rising times that overlap with these, seconds.
 
@@ -191,11 +210,12 @@ def to_seconds(
         `MAX_STEP_S`.
 
     Raises:
-        DatasetError: The steps are longer than that, so that the unit cannot be determined.
+        DatasetError: If the steps are longer than that, so that the unit cannot be determined.
     """
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     for name, scale in UNITS.items():
         first, last = times[0] * scale, times[-1] * scale
+        # seconds since 1970, if the unit is this one
         likely = MIN_UNIX_S <= last < 10 * MIN_UNIX_S
         if near_s is not None:
             likely |= first <= near_s[-1] and last >= near_s[0]
@@ -210,8 +230,18 @@ def to_seconds(
 
 
 def poses_of(rows: Floats, where: str) -> list[Pose]:
-    """The poses of positions and quaternions x y z w (n, 7). Raises ValueError, naming `where`, for
-    one whose length is not 1."""
+    """Make poses of positions and quaternions.
+
+    Args:
+        rows: (n, 7): x y z, metres, then x y z w.
+        where: The rows' source, for messages.
+
+    Returns:
+        n poses.
+
+    Raises:
+        ValueError: If a quaternion's length is not 1.
+    """
     lengths = np.sqrt((rows[:, 3:] ** 2).sum(axis=1, keepdims=True))
     wrong = ~(abs(lengths - 1) <= SKEW)
     if wrong.any():
@@ -219,12 +249,22 @@ def poses_of(rows: Floats, where: str) -> list[Pose]:
         raise ValueError(
             f"{where}: row {n + 1}: expected a quaternion of length 1, not {lengths[n, 0]:g}"
         )
+    # files end quaternions with w, a `Pose` begins with it
     return list(map(Pose, rows[:, :3], np.roll(rows[:, 3:], 1, axis=1) / lengths))
 
 
 def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
-    """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
-    are passed over from # on. Raises DatasetError for anything else."""
+    """Read a table of finite numbers; comments begin with #.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The names in its first line, if any; and the numbers, (rows, columns).
+
+    Raises:
+        DatasetError: If it is not such a table.
+    """
     names, rows, _ = _read_table(path)
     _check_finite(rows, path)
     return names, rows
@@ -238,17 +278,18 @@ def _check_finite(rows: Floats, path: Path) -> None:
 
 
 def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
-    """What `read_numbers` returns, with NaN for words in columns that have names; and the names in
-    the last comment above the first row, if they are as many as its columns."""
+    """Read a table as `read_numbers` does, with NaN for words in columns that have names; and the
+    names in the last comment above the first row, if they are as many as its columns."""
     text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):
-        content, _, after = line.partition("#")
+        content, _, remark = line.partition("#")
         words = content.replace(",", " ").split()
         if not words and not rows:
-            comment = _cells(after) or comment
+            comment = _cells(remark) or comment
         row = list(map(_number, words))
         finite = all(map(math.isfinite, row))
+        # a first line with words is the header
         if not (finite or rows or names):
             names = _cells(content)
             continue
@@ -265,7 +306,7 @@ def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
 
 
 def _number(word: str) -> float:
-    """A word as a number, NaN if it is none."""
+    """Convert a word to a number, NaN if it is none."""
     try:
         return float(word)
     except ValueError:
@@ -273,17 +314,28 @@ def _number(word: str) -> float:
 
 
 def _cells(line: str) -> tuple[str, ...]:
-    """The names of columns in a line, between commas or spaces, each with its unit in brackets."""
+    """Split a line into names of columns, at commas or spaces, each with its unit in brackets."""
     joined = re.sub(r"\s*[\[(]\s*([^\])]*?)\s*[\])]", r"[\1]", line)
     cells = joined.split(",") if "," in joined else joined.split()
     return tuple(filter(None, map(str.strip, cells)))
 
 
 def pose_of_matrix(row: Floats, where: str) -> Pose:
-    """The pose of a matrix of 3 × 4, row by row (12,). Raises DatasetError, naming `where`, for one
-    that is no rotation."""
+    """Make the pose of a 3 × 4 matrix.
+
+    Args:
+        row: (12,): the matrix, row by row.
+        where: Its source, for messages.
+
+    Returns:
+        The pose.
+
+    Raises:
+        DatasetError: If it holds no rotation.
+    """
     matrix, turned = row.reshape(3, 4), np.empty(4)
     turn = matrix[:, :3]
+    # a rotation's rows are orthonormal; the determinant excludes mirrors
     skew = abs(turn @ turn.T - np.eye(3)).max()
     if not skew <= SKEW or np.linalg.det(turn) < 0 or not np.isfinite(row).all():
         raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
@@ -292,7 +344,7 @@ def pose_of_matrix(row: Floats, where: str) -> Pose:
 
 
 def read_tr(calibration: Path) -> Floats | None:
-    """Read where the sensor is in the frame of KITTI's camera.
+    """Read the sensor's pose in the frame of KITTI's camera.
 
     Args:
         calibration: A calib.txt.
@@ -301,7 +353,7 @@ def read_tr(calibration: Path) -> Floats | None:
         The numbers of its line Tr (12,); None if there is none.
 
     Raises:
-        DatasetError: The line has others than 12 numbers.
+        DatasetError: If the line does not have 12 numbers.
     """
     text = read_bounded(calibration, MOST_HEADER_BYTES) if calibration.exists() else b""
     for line in text.decode("latin-1").splitlines():
@@ -313,6 +365,7 @@ def read_tr(calibration: Path) -> Floats | None:
 
 
 def has_camera(calibration: Path) -> bool:
-    """Whether a calib.txt of KITTI's has a camera that is not the sensor. Raises as `read_tr`."""
+    """Return whether a calib.txt of KITTI's has a camera that is not the sensor. Raises as
+    `read_tr`."""
     row = read_tr(calibration)
     return row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1))

@@ -1,6 +1,5 @@
-"""Recipes: every number that decides what a dataset holds, resolved, checked, and read from
-TOML.
-"""
+"""Recipes: every number that determines a dataset's content, resolved, checked, and read from
+TOML."""
 
 import json
 import math
@@ -70,12 +69,10 @@ class Faults(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """Everything besides the seed and the counts that decides a dataset's content.
+    """Everything that determines a dataset's content, except the seed and the counts.
 
-    Raises ValueError, naming the table, where flights have no room in the world, or where
-    parameters that are fine each ask together for more memory or time than `scenegen.base.limits`
-    allows.
-    """
+    Raises ValueError, naming the table, if flights have no room in the world, or if parameters that
+    are valid by themselves together need more memory or time than `scenegen.base.limits` allows."""
 
     kind: str
     """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF
@@ -87,14 +84,14 @@ class Recipe:
     flight: Flight = field(default_factory=Flight)
     accept: Acceptance = field(default_factory=Acceptance)
     lidar: Sensor = field(default_factory=Lidar)
-    """The sensor. One that is no raster becomes the table of its rays, which needs no code of the
-    user's any more."""
+    """The sensor. Unless it is a raster, it becomes the table of its rays, which does not need the
+    user's code."""
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
-    """What becomes of the clean ranges. Worlds, flights and viewpoints do not depend on it."""
+    """The noise of ranges. Worlds, flights and viewpoints do not depend on it."""
     parts: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    """Settings of the parts of samples that were asked for, by their names in
-    `scenegen.draw.parts.PARTS`. Nothing else depends on them."""
+    """Settings of optional parts of samples, by their names in `scenegen.draw.parts.PARTS`. Nothing
+    else depends on them."""
     mapping: Mapper = field(default_factory=Mapper)
     """Which scans make a map, how the sensor is held, and where the map lies."""
     known: Known | None = None
@@ -105,6 +102,7 @@ class Recipe:
             raise ValueError(
                 "[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out"
             )
+        # a manifest must be readable without the user's code
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
         if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
@@ -119,6 +117,7 @@ class Recipe:
                 f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at "
                 f"most"
             )
+        # each limit bounds a product: every factor is fine by itself
         if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
             raise ValueError(
                 f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, "
@@ -156,13 +155,13 @@ class Recipe:
         return 0 if self.world is None else self.world.version
 
     def resolved(self) -> Json:
-        """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
+        """Return the manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
         values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         return {
             "version": self.version,
             **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
-            **{name: asdict(it) for name, it in tables.items() if it is not None},
+            **{name: asdict(part) for name, part in tables.items() if part is not None},
         }
 
 
@@ -174,36 +173,42 @@ def preset(
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> Recipe:
-    """The recipe of a kind as it comes.
+    """Make the preset recipe of a kind.
 
     Args:
         kind: Its name, or "module:Class".
-        lidar: The sensor, or the name of one, such as "livox-avia", or of a TOML file of one, in
-            place of the paper's.
+        lidar: A sensor, the name of one, such as "livox-avia", or of a TOML file of one, instead of
+            the paper's.
         noise: Stages of noise, such as "range:0.02".
         mapping: Parameters of how maps are made.
         difficulty: "easy", "medium" or "hard"; medium by default.
 
+    Returns:
+        The recipe.
+
     Raises:
-        RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
+        RecipeError: If an argument is invalid; for an unknown kind, the nearest name is suggested.
     """
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
 def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
-    """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
-    [lidar], [noise], [mapping], [known] and [grid] of what differs from the preset.
+    """Read a recipe from a TOML file.
 
-    A sensor of the user's own is imported, so whoever runs a stranger's recipe looks at its
-    `[lidar] sensor` first.
+    It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
+    [mapping], [known] and [grid] of values that differ from the preset. A sensor of the user's own
+    is imported, so look at the `[lidar] sensor` of a stranger's recipe before you run it.
 
     Args:
         path: The file.
-        kind: Stands in for the file's, which may be missing then.
-        given: As for `preset`; a file that has the same is refused.
+        kind: Replaces a missing `kind`.
+        given: As for `preset`; must not repeat the file's.
+
+    Returns:
+        The recipe.
 
     Raises:
-        RecipeError: The file, the table and the parameter are named.
+        RecipeError: If the file is invalid; the message names file, table and parameter.
     """
     where = printable(path)
     tables = read_toml(path)
@@ -222,44 +227,51 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     return make_recipe(named, tables, where=where, folder=path.parent, **given)
 
 
-def _with_beside(tables: Json, where: str, given: Json) -> Json:
-    """The tables of a file with what is given beside them, see `preset`; the sensor stands as it
-    is. Raises RecipeError where the file has one of them, too."""
-    given = {name: value for name, value in given.items() if value is not None}
-    if "noise" in given:
-        given["noise"] = {"stages": given["noise"]}
-    for name in given.keys() & tables.keys():
-        named = ", ".join(given[name]) if name == "mapping" else f"--{name}"
-        what = name if name == "difficulty" else f"a table [{name}]"
+def _with_options(tables: Json, where: str, options: Json) -> Json:
+    """Merge a file's tables with options, see `preset`; a sensor stays as it is.
+
+    Raises RecipeError if both have the same one."""
+    options = {name: value for name, value in options.items() if value is not None}
+    if "noise" in options:
+        options["noise"] = {"stages": options["noise"]}
+    for name in options.keys() & tables.keys():
+        named = ", ".join(options[name]) if name == "mapping" else f"--{name}"
+        present = name if name == "difficulty" else f"a table [{name}]"
         raise RecipeError(
-            f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
+            f"{where}: has {present}, and {named} is given beside it; leave one of the two out"
         )
-    return {**tables, **given}
+    return {**tables, **options}
 
 
-def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
-    """The parameters in which a kind's preset of this difficulty differs from its defaults."""
+def _graded(kind: type[WorldKind], level: Any, prefix: str) -> Json:
+    """Return the parameters in which a kind's preset of this difficulty differs from its
+    defaults."""
     known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
-        raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {', '.join(known)}")
+        raise RecipeError(
+            f"{prefix}difficulty = {short(level)}: expected one of {', '.join(known)}"
+        )
     return known[level]
 
 
-def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, at: str) -> None:
-    """Raise RecipeError where `world` has fewer values of the preset that `level` names than of
-    another one, counted over the parameters in which the kind's presets differ."""
+def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, prefix: str) -> None:
+    """Raise RecipeError if `world` has more values of another preset than of `level`'s.
+
+    Only the parameters in which the kind's presets differ are counted."""
     levels = {"medium": {}, **kind.graded}
     names = sorted({name for values in levels.values() for name in values})
     alike = {}
-    for other, values in levels.items():
-        begun = from_table(kind, values, f"{at}difficulty {other}", Path())
-        alike[other] = sum(getattr(world, name) == getattr(begun, name) for name in names)
-    nearest = max(alike, key=lambda other: alike[other])
+    for preset_level, values in levels.items():
+        preset_world = from_table(kind, values, f"{prefix}difficulty {preset_level}", Path())
+        alike[preset_level] = sum(
+            getattr(world, name) == getattr(preset_world, name) for name in names
+        )
+    nearest = max(alike, key=lambda preset_level: alike[preset_level])
     if alike[level] < alike[nearest]:
         raise RecipeError(
-            f"{at}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of the "
-            f"{nearest} preset and {alike[level]} of that one ({', '.join(names)}); leave one of "
-            "the two out"
+            f"{prefix}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of "
+            f"the {nearest} preset and {alike[level]} of that one ({', '.join(names)}); "
+            "leave one of the two out"
         )
 
 
@@ -271,12 +283,23 @@ def make_recipe(
     folder: Path = Path(),
     **given: Any,
 ) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in, and what is `given` beside them, see
-    `preset`; `where` names the tables' source in errors, if they have one.
+    """Make the preset of `kind` with other values.
 
     The modules of a user's own kind and sensor are imported, so neither name may come from a
-    stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
-    and the parameter.
+    stranger's file.
+
+    Args:
+        kind: Its name, or "module:Class", or "scene".
+        tables: Values by table, as in a recipe's file.
+        where: The tables' source, for messages.
+        folder: Paths in `tables` are relative to it.
+        given: As for `preset`.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        RecipeError: If a value is invalid; the message names the table and the parameter.
     """
     kinds = {
         "flight": Flight,
@@ -288,46 +311,51 @@ def make_recipe(
     }
     if "known" in tables:
         kinds["known"] = Known
-    at = f"{where}: " if where else ""
-    tables = _with_beside(tables, where, given)
+    prefix = f"{where}: " if where else ""
+    tables = _with_options(tables, where, given)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
-        with raised_as(RecipeError, at):
+        with raised_as(RecipeError, prefix):
             world = find_kind(kind)
         kinds["world"] = world
         defaults = {"flight": world.flight_defaults, "accept": world.accept_defaults}
-        defaults["world"] = _graded(world, level, at)
+        defaults["world"] = _graded(world, level, prefix)
     elif level != "medium":
-        raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
+        raise RecipeError(f"{prefix}difficulty: worlds from MJCF files have none; leave it out")
     sensor = given.get("lidar")
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():
-        owners = [f"[{part}]" for part, made in kinds.items() if name in field_names(made)]
+        owners = [f"[{part}]" for part, owner in kinds.items() if name in field_names(owner)]
+        # TOML puts a key behind a table's line into that table, and one before it into none
         if owners and name not in kinds and not isinstance(table, dict):
             raise RecipeError(
-                f"{at}{name} stands in no table; expected it below the line {' or '.join(owners)}"
+                f"{prefix}{name} stands in no table; "
+                f"expected it below the line {' or '.join(owners)}"
             )
         check_name(name, tuple(sorted(kinds)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(
-                f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
+                f"{prefix}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
+    # the user's values come last, and win
     values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
     lidar = values.pop("lidar")
     parts = {
-        name: from_table(kinds[name], table, f"{at}[{name}]", folder)
+        name: from_table(kinds[name], table, f"{prefix}[{name}]", folder)
         for name, table in values.items()
     }
     if kind != "scene" and level != "medium":
-        _check_graded(world, level, parts["world"], at)
+        _check_graded(world, level, parts["world"], prefix)
     if sensor is None:
-        sensor = sensor_of(lidar, f"{at}[lidar]", folder)
-    noise = named_noise(parts["noise"].stages or None, sensor, at and f"{at}[noise]")
+        sensor = sensor_of(lidar, f"{prefix}[lidar]", folder)
+    # after the sensor: `datasheet` stands for the sensor's own noise
+    noise = named_noise(parts["noise"].stages or None, sensor, prefix and f"{prefix}[noise]")
     parts |= {"lidar": sensor, "noise": noise}
-    odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
-    with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
+    reason = f"{prefix}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, prefix), raised_as(RecipeError, reason, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **parts)
+        # a user's own parameters may be of any type
         json.dumps(recipe.resolved())
     return recipe

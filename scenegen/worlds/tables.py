@@ -1,6 +1,5 @@
-"""Tables of TOML files, and dataclasses made of them, with errors that name the file, the table and
-the parameter; the table [lidar] as a user gives it.
-"""
+"""TOML tables and the dataclasses made of them, with errors that name the file, the table and the
+parameter; and the table [lidar]."""
 
 import dataclasses
 import itertools
@@ -22,15 +21,26 @@ from scenegen.base.files import Json, read_bounded
 from scenegen.base.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
-"""A number's own dot, of which a list of beams has many in a line."""
+"""A decimal number, whose dot is not that of a dotted key; a list of beams has many in a line."""
 _INTERVAL = re.compile(
     r"(?<![\w.])(-?\d{1,9}(?:\.\d{1,9})?)\.\.(-?\d{1,9}(?:\.\d{1,9})?)(?![\w.])", re.ASCII
 )
-"""How a domain writes an interval: 0.01..0.05, or 1..5 for whole numbers."""
+"""An interval in a domain: 0.01..0.05, or 1..5 for whole numbers."""
 
 
 def read_toml(path: Path) -> Json:
-    """The tables of a TOML file. Raises RecipeError, naming the file."""
+    """Read a TOML file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its tables.
+
+    Raises:
+        RecipeError: If it is not valid TOML, too large, or nested too deeply; the message names the
+            file.
+    """
     where = printable(path)
     try:
         text = read_bounded(path, MOST_RECIPE_BYTES).decode()
@@ -52,9 +62,20 @@ def read_toml(path: Path) -> Json:
 
 
 def from_table(part: Any, table: Json, where: str, folder: Path) -> Any:
-    """An instance of the dataclass `part`, which checks its values, or a copy of the instance
-    `part` with the values changed; paths in `table` are relative to `folder`. Raises
-    RecipeError."""
+    """Make a dataclass from a table.
+
+    Args:
+        part: The dataclass; or an instance, of which a copy is changed.
+        table: Values by field.
+        where: The table's name, for messages.
+        folder: Paths in the table are relative to it.
+
+    Returns:
+        The instance, with checked values.
+
+    Raises:
+        RecipeError: If a parameter is unknown, missing or invalid.
+    """
     fields = {item.name: item for item in dataclasses.fields(part)}
     values = {}
     for name, value in table.items():
@@ -72,21 +93,40 @@ def from_table(part: Any, table: Json, where: str, folder: Path) -> Any:
 
 
 def field_names(part: Any) -> set[str]:
-    """What may stand in a table of the dataclass `part`."""
+    """Return the keys that a table of the dataclass `part` may have."""
     return {item.name for item in dataclasses.fields(part)}
 
 
 def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
-    """Raise RecipeError, with the nearest of the `known` names, for one that is none of them."""
+    """Check that a name is known.
+
+    Args:
+        name: The name.
+        known: The known names.
+        what: What it names, for the message: "table".
+        where: Its source, for the message.
+
+    Raises:
+        RecipeError: If it is unknown; the message suggests the nearest.
+    """
     if name not in known:
         hint = suggestion(str(name), known)
         raise RecipeError(f"{where}{': ' if where else ''}unknown {what} {short(name)}; {hint}")
 
 
 def named_lidar(word: str | Sensor) -> Sensor:
-    """The sensor that a word names, as --lidar and `preset` take it: one of `SENSORS`, a user's
-    own, or a file that ends in .toml and holds what a recipe's [lidar] does; a sensor is itself.
-    Raises RecipeError."""
+    """Find the sensor that an option --lidar names.
+
+    Args:
+        word: A name in `SENSORS`, a user's own, or a file that ends in .toml with the entries of a
+            recipe's [lidar]; a sensor is returned unchanged.
+
+    Returns:
+        The sensor.
+
+    Raises:
+        RecipeError: If there is no such sensor.
+    """
     if not isinstance(word, str):
         if not hasattr(word, "directions_body"):
             raise RecipeError(
@@ -106,62 +146,109 @@ def named_lidar(word: str | Sensor) -> Sensor:
 
 
 def named_noise(text: str | Noise | None, sensor: Sensor, where: str = "") -> Noise:
-    """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError, which
-    begins with `where`."""
+    """Read a chain of noise.
+
+    Args:
+        text: See `Noise.parse`; None for no noise.
+        sensor: The sensor, for ``datasheet``.
+        where: The beginning of the error's line.
+
+    Returns:
+        The chain.
+
+    Raises:
+        RecipeError: If the text names no chain.
+    """
     with raised_as(RecipeError, where and f"{where} "):
         return Noise() if text is None else Noise.parse(text, sensor)
 
 
 def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
-    """The sensor of a table [lidar]: `sensor` names it, and the other entries are its parameters.
-    Paths in it are relative to `folder`. Raises RecipeError, which begins with `where`."""
-    given = dict(table)
-    name = given.pop("sensor", RASTER)
+    """Make the sensor of a table [lidar].
+
+    Args:
+        table: `sensor` names the class; the other entries are its parameters.
+        where: The beginning of the error's line.
+        folder: Paths in the table are relative to it.
+
+    Returns:
+        The sensor.
+
+    Raises:
+        RecipeError: If the table is invalid.
+    """
+    entries = dict(table)
+    name = entries.pop("sensor", RASTER)
     with raised_as(RecipeError, f"{where} "):
-        found = SENSORS.find(name if isinstance(name, str) else short(name))
-    if not dataclasses.is_dataclass(found):
+        kind = SENSORS.find(name if isinstance(name, str) else short(name))
+    if not dataclasses.is_dataclass(kind):
         raise RecipeError(
             f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
         )
-    if isinstance(given.get("name"), str) and given["name"] in SENSORS.builtin:
+    if isinstance(entries.get("name"), str) and entries["name"] in SENSORS.builtin:
         raise RecipeError(
-            f"{where} name = {short(given['name'])}: is that of another; give your sensor a name "
-            f'of its own, or take that one with sensor = "{given["name"]}"'
+            f"{where} name = {short(entries['name'])}: is that of another; give your sensor a name "
+            f'of its own, or take that one with sensor = "{entries["name"]}"'
         )
-    if "sensor" not in table and (odd := sorted(given.keys() - field_names(found))):
+    # the default is a raster; name the families that have all these parameters
+    if "sensor" not in table and (unknown := sorted(entries.keys() - field_names(kind))):
         fit = [
             f'"{family}"'
             for family in FAMILIES
-            if given.keys() <= field_names(SENSORS.find(family))
+            if entries.keys() <= field_names(SENSORS.find(family))
         ]
         if fit:
             raise RecipeError(
-                f"{where} {odd[0]}: is no parameter of a raster; say which sensor it is, sensor = "
-                f"{' or '.join(fit)}"
+                f"{where} {unknown[0]}: is no parameter of a raster; say which sensor it is, "
+                f"sensor = {' or '.join(fit)}"
             )
-    made = from_table(found, given, where, folder)
-    if isinstance(own := getattr(made, "noise", None), str) and own:
+    sensor = from_table(kind, entries, where, folder)
+    if isinstance(noise := getattr(sensor, "noise", None), str) and noise:
         with raised_as(RecipeError, f"{where} "):
-            Noise.parse(own)
+            Noise.parse(noise)
+    # tried now, so that faults of a user's own code show before any world is drawn
     if name not in SENSORS.builtin:
         with raised_as(RecipeError):
-            beam_table(made, where)
-    return made
+            beam_table(sensor, where)
+    return sensor
 
 
 def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
-    """The rays of any sensor. Raises ValueError, which begins with `where`, whatever a user's own
-    code raises."""
+    """Tabulate the rays of any sensor.
+
+    Args:
+        sensor: The sensor.
+        where: The beginning of the error's line.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: If it cannot be tabulated, whatever a user's own code raises.
+    """
     try:
         return BeamTable.of(sensor)
     except Exception as error:
-        said = error if isinstance(error, ValueError) else f"it fails: {error!r}"
-        raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
+        reason = error if isinstance(error, ValueError) else f"it fails: {error!r}"
+        raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(reason)}") from None
 
 
 def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
-    """Every combination of the values that a [domain] lists, as tables; where some have intervals,
-    each so often as its `draws` says, with numbers from these. Raises RecipeError."""
+    """List every combination of the values of a [domain].
+
+    If values have intervals, each combination is drawn `draws` times, with numbers from these.
+
+    Args:
+        domain: The table [domain] of a recipe.
+        at: Its source, for messages.
+        rng: Draws the numbers.
+
+    Returns:
+        Tables of a recipe, one for each.
+
+    Raises:
+        RecipeError: If the domain is invalid, or has too many combinations.
+    """
     rows = dict(domain) if isinstance(domain, dict) else {"": domain}
     draws = rows.pop("draws", 0)
     if not all(isinstance(row, dict) for row in rows.values()):
@@ -185,7 +272,7 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
             f"{at}: domain.draws = {short(draws)}: expected how often to draw, such as 10, where a "
             "value has an interval, such as 0.01..0.05, and nothing elsewhere"
         )
-    # of a range, `product` would make a tuple
+    # `product` would make a tuple of the range, however long
     times = range(min(max(draws, 1), MOST_SOURCES + 1))
     chosen = itertools.product(times, *listed.values())
     tables: list[dict[str, Json]] = []
@@ -201,8 +288,8 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
 
 
 def _drawn(value: Any, rng: Generator) -> Any:
-    """A value with a number from each interval that is written in it, of four digits, for people
-    read it in the manifest."""
+    """Replace each interval in a value by a number from it, with four digits, for people to read it
+    in the manifest."""
     if isinstance(value, list):
         return [_drawn(part, rng) for part in value]
     if not isinstance(value, str):

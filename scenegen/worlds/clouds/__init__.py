@@ -1,9 +1,8 @@
 """Point clouds on disk: one function reads a file of any format into one record, a `Cloud`.
 
-`formats` turns the bytes of a file into columns, `columns` tells which of them are a point's
-position, its sensor's and its time, and `read_cloud` makes the record of these. No file takes more
-memory than it has content.
-"""
+`formats` turns the bytes of a file into columns, `columns` finds a point's position, its sensor's
+and its time among them, and `read_cloud` makes the record. No file takes more memory than its
+content does."""
 
 import itertools
 import re
@@ -27,14 +26,14 @@ MAX_SCANS = 100_000
 MAX_DIGITS = 255
 """Digits of a number in a file's name."""
 KITTI_FOLDER = "velodyne"
-"""What KITTI calls the folder of a sequence's clouds."""
+"""KITTI's name of the folder with a sequence's clouds."""
 MAX_SCAN_M = 1e5
 """No sensor has a return from farther away than this, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """The points of a file or a message, and what it says of them."""
+    """The points of a file or a message, and what else it gives about them."""
 
     points: Floats
     """(N, 3), metres; a point of NaN or infinity is a ray that returned nothing."""
@@ -53,7 +52,7 @@ class Cloud:
 
 
 def cloud_of(table: Table) -> Cloud:
-    """The cloud of a file's columns. Raises ValueError if these are not numbers."""
+    """Make the cloud of a file's columns. Raises ValueError if these are not numbers."""
     columns = table.columns
 
     def stacked(names: list[str]) -> Floats:
@@ -77,12 +76,15 @@ def read_cloud(
     Args:
         path: One of the file types in `READERS`.
         max_bytes: The largest file that is read.
-        columns: Numbers of a point in a file whose columns have no names; by default what the
-            format, or the numbers, tell.
+        columns: Numbers of a point in a file whose columns have no names; by default determined by
+            the format, or the numbers.
+
+    Returns:
+        The points.
 
     Raises:
-        DatasetError: The file holds no points, fewer than it promises, or points that cannot be
-            told; it is too large; or `columns` are given and its fields have names.
+        DatasetError: If the file is too large, holds no points, fewer than it promises, or columns
+            that cannot be determined; or if `columns` are given and its fields have names.
     """
     if (kind := _kind(path)) not in READERS:
         raise DatasetError(
@@ -94,6 +96,7 @@ def read_cloud(
     try:
         if kind in NAMED:
             table = NAMED[kind](content)
+        # KITTI's layout of folders decides if the numbers do not
         elif kind == ".bin" and path.parent.name == KITTI_FOLDER:
             table = formats.read_kitti(content, columns)
         else:
@@ -113,40 +116,46 @@ def read_cloud(
 
 
 def check_scan(points: Floats, origins: ArrayLike, where: str) -> None:
-    """Refuse what no sensor returns.
+    """Check that points may be a scan.
 
     Args:
         points: (N, 3), metres.
         origins: Where they were seen from, (3,), (1, 3) or (N, 3), in the same frame.
-        where: What the error names, a file.
+        where: The file's name, for the message.
 
     Raises:
-        DatasetError: A finite point is farther than `MAX_SCAN_M` from its sensor.
+        DatasetError: If a finite point is farther than `MAX_SCAN_M` from its sensor.
     """
-    away = np.abs(points - np.asarray(origins, float)).max(axis=1)
-    far = np.isfinite(away) & (away > MAX_SCAN_M)
+    # the greatest coordinate, not the distance: no square overflows
+    offset = np.abs(points - np.asarray(origins, float)).max(axis=1)
+    far = np.isfinite(offset) & (offset > MAX_SCAN_M)
     if far.any():
         raise DatasetError(
             f"{where}: {np.count_nonzero(far)} of {len(points)} points lie up to "
-            f"{away[far].max():.3g} m from the sensor, expected {MAX_SCAN_M:g} m at most; give "
+            f"{offset[far].max():.3g} m from the sensor, expected {MAX_SCAN_M:g} m at most; give "
             "metres, where the sensor is, and NaN where nothing returned"
         )
 
 
 @dataclass
 class ReadReport:
-    """Counts what was read. Its text is a line for people."""
+    """Counts clouds and points that were read. Its text is a line for people."""
 
     clouds: int = 0
     points: int = 0
     dropped: int = 0
-    """Points that are no returns."""
+    """Points without a return."""
     layouts: dict[str, None] = field(default_factory=dict)
     """Those of all clouds, in the order in which they came."""
 
     def add(self, points: int, layout: str, dropped: int) -> None:
-        """Count a cloud of so many `points`, `dropped` of which are no returns; for its `layout`
-        see `Cloud`."""
+        """Count a cloud.
+
+        Args:
+            points: Its points.
+            layout: See `Cloud`.
+            dropped: Those of its points without a return.
+        """
         self.clouds += 1
         self.points += points
         self.dropped += dropped
@@ -178,15 +187,27 @@ READERS = NAMED | UNNAMED
 
 
 def _kind(path: Path) -> str:
-    """The file type of a scan by its name, as `READERS` has it."""
+    """Return the file type of a scan by its name, as in `READERS`; "" if unknown."""
     name = path.name.lower()
+    # the longest suffix wins: .pcd.bin over .bin
     return max((suffix for suffix in READERS if name.endswith(suffix)), key=len, default="")
 
 
 def scans_in(folder: Path) -> list[Path]:
-    """Files of these types in a folder and those below it, sorted, numbers in their names by value.
-    Raises DatasetError for more than `MAX_SCANS`."""
+    """List files of these types in a folder and those below it, numbers in their names sorted by
+    value.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        The files.
+
+    Raises:
+        DatasetError: If there are more than `MAX_SCANS`.
+    """
     matches = (path for path in folder.rglob("*") if path.suffix.lower() in READERS)
+    # one more than the limit shows that there are too many, without a list of all
     scans = list(itertools.islice(matches, MAX_SCANS + 1))
     if len(scans) > MAX_SCANS:
         raise DatasetError(f"{folder}: holds more than {MAX_SCANS} scans; give a folder of fewer")
@@ -194,7 +215,9 @@ def scans_in(folder: Path) -> list[Path]:
 
 
 def _by_number(path: Path) -> tuple[Path, str, str]:
-    """A path's place in its folder: 2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and
-    digits before letters. What follows a point are decimals."""
+    """Return a path's sort key in its folder.
+
+    2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and digits before letters. Digits
+    after a point are decimals."""
     padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MAX_DIGITS), path.stem)
     return path.parent, padded, path.name

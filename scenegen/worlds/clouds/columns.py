@@ -1,8 +1,7 @@
-"""Columns of a table of points: by the names of its fields, or by its numbers.
+"""Columns of a table of points, by the names of its fields, or by its numbers.
 
-Files without names (.bin, .npy, .npz) are refused if neither the format, the user nor the numbers
-tell how many columns a point has.
-"""
+Files without names (.bin, .npy, .npz) are refused unless the format, the user or the numbers
+determine how many columns a point has."""
 
 import math
 import re
@@ -19,7 +18,7 @@ ORIGIN_PREFIXES = ("vp_", "viewpoint_", "sensor_", "origin_")
 """Prefixes of fields that hold a point's sensor position, before x, y and z; the first is that of
 PCL's PointWithViewpoint."""
 TIME_NAMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "stamps", "time_offset")
-"""What drivers call the time of a point; the first are looked at first."""
+"""Drivers' names of a point's time, by priority."""
 TIME_PATTERN = re.compile(r"ts|dt|t_?(s|ms|us|ns|sec|nsec|offset)|.*(time|stamp).*", re.IGNORECASE)
 """Other names of fields that may be times."""
 MAX_NAMES = 12
@@ -27,7 +26,7 @@ MAX_NAMES = 12
 MIN_COLUMNS, MAX_COLUMNS = 3, 8
 """Columns that a table without names may have unless a number is given."""
 FAR_M, NEAR_M = 1e5, 1e-20
-"""Bytes of other types, read as float32, lie beyond these, zeros aside."""
+"""Bytes of other types, read as float32, mostly lie outside these bounds, zeros aside."""
 PLAUSIBLE_SHARE = 0.9
 """Share of points that must lie between these; `check_scan` wants all."""
 BLOCK, MAX_BLOCKS = 840, 100
@@ -53,13 +52,13 @@ class Table(NamedTuple):
 
 
 def origin_fields(names: Collection[str]) -> list[str]:
-    """The three of `names` that hold where a point was seen from; empty if there are none."""
+    """Find the three of `names` that hold where a point was seen from; none if there are none."""
     triples = ([prefix + axis for axis in "xyz"] for prefix in ORIGIN_PREFIXES)
     return next((triple for triple in triples if set(triple) <= set(names)), [])
 
 
 def time_fields(names: Sequence[str]) -> list[str]:
-    """Those of `names` that may be times, the likeliest first."""
+    """Find those of `names` that may be times, the likeliest first."""
     usual = [name for name in TIME_NAMES if name in names]
     return usual + [
         name for name in names if name not in TIME_NAMES and TIME_PATTERN.fullmatch(name)
@@ -67,24 +66,42 @@ def time_fields(names: Sequence[str]) -> list[str]:
 
 
 def used_fields(names: Sequence[str]) -> list[str]:
-    """Those of `names` that are read. Raises ValueError without x, y and z."""
+    """Select the fields that are read.
+
+    Args:
+        names: All fields.
+
+    Returns:
+        x, y, z, and those of origins and times.
+
+    Raises:
+        ValueError: If x, y or z is missing.
+    """
     if not set("xyz") <= set(names):
         raise ValueError(f"has fields {short_list(names)}, expected x, y and z among them")
     return [*"xyz", *origin_fields(names), *time_fields(names)]
 
 
 def short_list(names: Sequence[str]) -> str:
-    """The first of some fields' names, for messages; without those that only fill gaps."""
-    shown = [printable(name)[:30] for name in names if not re.fullmatch(r"_\d+", name)]
-    more = len(shown) - MAX_NAMES
-    return " ".join(shown[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+    """List the first of some fields' names, for messages, without those that only fill gaps."""
+    listed = [printable(name)[:30] for name in names if not re.fullmatch(r"_\d+", name)]
+    hidden = len(listed) - MAX_NAMES
+    return " ".join(listed[:MAX_NAMES]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> Table:
-    """Points as rows of an array, (N, C) or (C, N), or with the fields of a structured one.
+    """Make a table of an array, (N, C) or (C, N), or with the fields of a structured one.
+
+    Args:
+        array: The array.
+        columns: Numbers of a point; None to determine it.
+        kind: The file type, for people.
+
+    Returns:
+        The table.
 
     Raises:
-        ValueError: The array has another shape, or rows and columns cannot be told apart.
+        ValueError: If the array has another shape, or rows and columns cannot be told apart.
     """
     if names := array.dtype.names:
         named = {name: array[name].reshape(-1) for name in used_fields(names)}
@@ -101,22 +118,23 @@ def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> Table
 
 
 def xyz_of(points: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The first columns of points (N, 3 or more), by name."""
+    """Name the first columns of points (N, 3 or more)."""
     return dict(zip("xyz", points.T, strict=False))
 
 
 def _is_transposed(shape: tuple[int, ...], columns: int | None) -> bool:
-    """Whether an array's columns are points, and not its rows. Raises ValueError if that cannot be
-    told."""
+    """Return whether an array's columns, and not its rows, are points. Raises ValueError if
+    unclear."""
     rows, width = shape
     size = f"holds {rows} × {width} numbers"
     if columns is not None:
         if columns not in shape:
             raise ValueError(f"{size}, and --columns {columns}")
+        # a square array has its points in rows
         return columns != width
     if width < MIN_COLUMNS:
         raise ValueError(f"{size}, expected (N, 3): x, y, z in metres")
-    if rows in (3, 4) and 3 < width <= MAX_COLUMNS:  # (N, 3) is what is asked for
+    if rows in (3, 4) and 3 < width <= MAX_COLUMNS:  # 3 columns are never ambiguous
         raise ValueError(f"{size}, which may be {rows} points or {width}; give --columns N")
     if width > MAX_COLUMNS and rows not in (3, 4):
         raise ValueError(
@@ -129,21 +147,21 @@ def _is_transposed(shape: tuple[int, ...], columns: int | None) -> bool:
 def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> int:
     """Determine how many columns a point has in a file of float32 without names.
 
-    Two things tell. The first three columns are metres: not beyond `FAR_M`, and not the tiny
-    numbers as which other types read. And columns differ: heights from distances, intensities from
-    both. Read with another number of columns, each column mixes all, and they are alike. The
-    measure is the share of the variance of ranks, of the numbers and of their amounts, that lies
-    between columns. If only one number of columns divides the file, no measure is needed.
+    There are two criteria. The first three columns are metres: within `FAR_M`, and not tiny as
+    numbers of other types are when read as float32. And columns differ: heights from distances,
+    intensities from both. Read with another number of columns, each column mixes all, and they are
+    alike. The measure is the share of the variance of ranks, of the numbers and of their amounts,
+    that lies between columns. If only one number of columns divides the file, no measure is needed.
 
     Args:
         values: The whole file, (n,).
-        usual: The number of columns if the numbers do not tell.
+        usual: The number of columns if the numbers do not determine it.
 
     Returns:
         The number of columns, `MIN_COLUMNS` to `MAX_COLUMNS`.
 
     Raises:
-        ValueError: None fits, or several do.
+        ValueError: If none fits, or several do.
     """
     fits = {
         count: _column_fit(values, count)
@@ -165,27 +183,32 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
 
 
 def _best_fit(fits: Mapping[int, float], size: int) -> int | None:
-    """The number of columns that alone divides a file of `size` numbers, or that fits far better
-    than the others; None if there is none."""
+    """Return the number of columns that alone divides a file of `size` numbers, or fits far better
+    than all others; None if there is none."""
     if len(fits) < 2:
         return next(iter(fits), None)
     best = max(fits.values())
+    # multiples of the right number fit as well: the smallest is right
     count = min(count for count, fit in fits.items() if fit >= SAME_FIT * best)
-    others = [fit for other, fit in fits.items() if other % count]
+    rivals = [fit for width, fit in fits.items() if width % count]
     # identically distributed columns stay below this: their fit times the numbers is chi squared
     chance = (count - 1 + CHANCE_SIGMA * (2 * count - 2) ** 0.5) / min(size, BLOCK * MAX_BLOCKS)
-    clear = best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance
+    clear = best > chance and max(rivals, default=0.0) < CLEAR_FIT * best - chance
     return count if clear else None
 
 
 def _column_fit(values: NDArray[np.float32], count: int) -> float:
-    """How much the columns of `values` as rows of `count` differ, 0 to 1: see `fitting_columns`."""
+    """Measure how much the columns of `values` as rows of `count` differ, 0 to 1; see
+    `fitting_columns`."""
     blocks = values[: len(values) // BLOCK * BLOCK].reshape(-1, BLOCK)
     if len(blocks):
+        # blocks from all of the file, since its parts may differ
         values = blocks[:: math.ceil(len(blocks) / MAX_BLOCKS)]
+    # rays without a return rank as zeros
     numbers = np.nan_to_num(values.reshape(-1), nan=0.0, posinf=0.0, neginf=0.0)
     shares = []
     for feature in (numbers, np.abs(numbers)):
+        # ranks, so that a few huge numbers do not dominate
         ranks = np.unique(feature, return_inverse=True)[1].astype(float)
         means = ranks.reshape(-1, count).mean(axis=0)
         shares.append(means.var() / max(ranks.var(), 1e-12))
@@ -193,7 +216,7 @@ def _column_fit(values: NDArray[np.float32], count: int) -> float:
 
 
 def _is_plausible(points: NDArray[np.float32]) -> bool:
-    """Whether nearly all of `points` (N, 3) may be metres, or rays without a return."""
+    """Return whether nearly all of `points` (N, 3) may be metres, or rays without a return."""
     sizes = np.abs(points[np.isfinite(points).all(axis=1)])
     good = ((sizes == 0) | ((sizes > NEAR_M) & (sizes < FAR_M))).all(axis=1)
     return bool(np.count_nonzero(good) >= PLAUSIBLE_SHARE * len(good))

@@ -1,7 +1,6 @@
 """File formats of point clouds, each a function from bytes to a `Table`.
 
-A reader may raise anything: `scenegen.worlds.clouds.read_cloud` makes one line of it.
-"""
+A reader may raise anything: `scenegen.worlds.clouds.read_cloud` makes one line of it."""
 
 import io
 import itertools
@@ -65,15 +64,25 @@ KITTI, NUSCENES = 4, 5
 LAS_CHUNK = 1_000_000
 """Points of a LAS file that are unpacked at once."""
 LAS_BYTES_IN_S = 1e6
-"""How many bytes of a LAS file are unpacked in a second, at the least."""
+"""A lower bound of the speed at which LAS files are unpacked, bytes a second."""
 DEGREES_SCALE = 1e-6
 """Steps of x and y in a LAS file that may hold degrees: 1e-7° are a centimetre."""
 DEGREES_TALL = 30
-"""A cloud that is so many times as high as it is wide has degrees for its width."""
+"""A cloud that is this many times as high as wide has its width in degrees."""
 
 
 def read_ply(content: bytes) -> Table:
-    """The vertices of a PLY file (Turk 1994), which must come before all other elements."""
+    """Read the vertices of a PLY file (Turk 1994), which must come before all other elements.
+
+    Args:
+        content: The file's bytes.
+
+    Returns:
+        The used columns.
+
+    Raises:
+        ValueError: If the header is invalid.
+    """
     end = PLY_END.search(content, 0, MOST_HEADER_BYTES)
     if end is None:
         raise ValueError("its header has no end")
@@ -86,16 +95,17 @@ def read_ply(content: bytes) -> Table:
         ) from None
     rows = [(name, order + np.dtype(kind).str[1:], (1,)) for name, kind in properties.items()]
     layout = np.dtype(rows)
+    # no copy: a file may be large
     body = memoryview(content)[end.end() :]
     return _table(body, layout, count, ".ply", "binary" if order else "text")
 
 
 def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
-    """Byte order ("" for text), number of vertices, and numpy's types of their properties by
+    """Return byte order ("" for text), number of vertices, and numpy's types of their properties by
     name."""
-    magic, *rest = [line.split() for line in head.decode("latin-1").splitlines()]
+    magic, *words = [line.split() for line in head.decode("latin-1").splitlines()]
     (_, form, _), (element, vertex, count), *lines = [
-        line for line in rest if line and line[0] not in ("comment", "obj_info")
+        line for line in words if line and line[0] not in ("comment", "obj_info")
     ]
     property_lines = list(itertools.takewhile(lambda line: line[0] == "property", lines))
     names = _lowered([name for _, _, name in property_lines])
@@ -103,15 +113,28 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     properties = dict(zip(names, types, strict=True))
     is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
     known = set(types) <= set(PLY_TYPES.values())
+    # a dict is shorter than its lines if a name occurs twice
     if not is_ply or len(properties) < len(property_lines) or not known:
         raise ValueError("no vertices, or a property is unknown or there twice")
     return PLY_ORDERS[form], int(count), properties
 
 
 def read_pcd(content: bytes) -> Table:
-    """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
-    (pointclouds.org, "The PCD file format"). As in PCL's reader, COLUMNS may stand for FIELDS, and
-    SIZE, TYPE, COUNT and POINTS may be missing."""
+    """Read the points of a PCD file, and where they were seen from: fields or its VIEWPOINT
+    (pointclouds.org, "The PCD file format").
+
+    As in PCL's reader, COLUMNS may stand for FIELDS, and SIZE, TYPE, COUNT and POINTS may be
+    missing.
+
+    Args:
+        content: The file's bytes.
+
+    Returns:
+        The used columns.
+
+    Raises:
+        ValueError: If the file is invalid.
+    """
     end = PCD_DATA.search(content, 0, MOST_HEADER_BYTES)
     if end is None:
         raise ValueError("its header has no line DATA, expected DATA ascii, binary or so")
@@ -138,11 +161,11 @@ def read_pcd(content: bytes) -> Table:
 
 
 def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:
-    """NumPy's type of a point, from the lines of a PCD's header by their first words."""
+    """Return NumPy's type of a point, from the lines of a PCD's header by their first words."""
     fields = header.get("FIELDS") or header.get("COLUMNS")
     if not fields:
         raise ValueError("its header has no line FIELDS, expected FIELDS x y z and others")
-    # what only fills a gap is called "_", as often as there are gaps
+    # every field that only fills a gap is called "_"
     names = _lowered([f"_{n}" if name == "_" else name for n, name in enumerate(fields)])
     sizes, counts = (
         _numbers_of(header, key, [usual] * len(names), int)
@@ -161,9 +184,10 @@ def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:
 
 
 def _pcd_count(header: Mapping[str, Sequence[str]]) -> int:
-    """How many points a PCD's header promises."""
+    """Return how many points a PCD's header promises."""
     if "POINTS" not in header and "WIDTH" not in header:
         raise ValueError("its header has no line POINTS, and no WIDTH and HEIGHT")
+    # PCL writes both; POINTS is the total
     sides = ["POINTS"] if "POINTS" in header else ["WIDTH", "HEIGHT"]
     return math.prod(n for side in sides for n in _numbers_of(header, side, [1], int)[:1])
 
@@ -171,7 +195,7 @@ def _pcd_count(header: Mapping[str, Sequence[str]]) -> int:
 def _numbers_of(
     header: Mapping[str, Sequence[str]], key: str, usual: list[Any], kind: type
 ) -> list[Any]:
-    """The numbers in the line `key` of a PCD's header, `usual` where there is no such line."""
+    """Read the numbers in the line `key` of a PCD's header; `usual` if there is no such line."""
     words = header.get(key, usual)
     try:
         return [kind(word) for word in words]
@@ -180,8 +204,10 @@ def _numbers_of(
 
 
 def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
-    """Point after point what a compressed PCD holds: two sizes, and what LZF made of one field's
-    values after the other's. Raises ValueError where they do not fit."""
+    """Unpack a compressed PCD, point after point.
+
+    It holds two sizes, and the LZF of one field's values after the other's. Raises ValueError if
+    they do not fit."""
     packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
     if size != count * layout.itemsize or size > MOST_CLOUD_BYTES:
         raise ValueError(f"unpacks to {size} bytes, expected {layout.itemsize} for each point")
@@ -191,6 +217,7 @@ def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     rows, first = np.zeros(count, layout), 0
     for name in layout.names or ():
         last = first + rows[name].nbytes
+        # from field after field to point after point
         rows[name] = columns[first:last].view(layout[name].base).reshape(rows[name].shape)
         first = last
     return memoryview(rows.tobytes())
@@ -198,32 +225,35 @@ def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
 
 @kernel
 def _unpack_lzf(packed, unpacked):
-    """Undo LZF: a byte below 32 says how many bytes follow as they are, less one; another byte, of
-    a length and the high bits of a distance, has bytes repeated that were written before. Gives
-    how many bytes were written; fewer than `unpacked` holds where what is packed is damaged."""
-    at, written = 0, 0
-    while at < len(packed):
-        control = int(packed[at])
-        at += 1
+    """Undo LZF.
+
+    A byte below 32 is a count, less one, of literal bytes that follow; another byte holds a length
+    and the high bits of a distance, of bytes to repeat from the output. Returns how many bytes were
+    written, fewer than `unpacked` holds if the input is damaged."""
+    offset, written = 0, 0
+    while offset < len(packed):
+        control = int(packed[offset])
+        offset += 1
         if control < 32:
             length, source = control + 1, -1
         else:
             length, distance = control >> 5, (control & 31) << 8
-            if length == 7 and at < len(packed):
-                length += int(packed[at])
-                at += 1
-            if at == len(packed):
+            if length == 7 and offset < len(packed):
+                length += int(packed[offset])
+                offset += 1
+            if offset == len(packed):
                 return 0
-            length, source = length + 2, written - distance - int(packed[at]) - 1
-            at += 1
+            length, source = length + 2, written - distance - int(packed[offset]) - 1
+            offset += 1
             if source < 0:
                 return 0
-        if written + length > len(unpacked) or (source < 0 and at + length > len(packed)):
+        if written + length > len(unpacked) or (source < 0 and offset + length > len(packed)):
             return 0
+        # byte by byte: a repeat may read bytes that it has just written
         for _ in range(length):
             if source < 0:
-                unpacked[written] = packed[at]
-                at += 1
+                unpacked[written] = packed[offset]
+                offset += 1
             else:
                 unpacked[written] = unpacked[source]
                 source += 1
@@ -232,8 +262,9 @@ def _unpack_lzf(packed, unpacked):
 
 
 def read_las(content: bytes) -> Table:
-    """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
-    damaged files can make hang."""
+    """Read the points of a LAS or LAZ file (ASPRS LAS 1.4) by laspy, scaled and with its offset.
+
+    Damaged files can make laspy hang, so it runs guarded, in another process."""
     return guarded(
         _unpack_las,
         content,
@@ -245,7 +276,7 @@ def read_las(content: bytes) -> Table:
 def _unpack_las(content: bytes) -> Table:
     import laspy
 
-    # this process's own: its decoder prints as it dies
+    # of this process only: its decoder prints when it fails
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     # on one thread: this process is a fork, in which lazrs would wait for ever for the threads that
     # it has begun in the parent, if that has read a LAZ file before
@@ -274,12 +305,13 @@ def _unpack_las(content: bytes) -> Table:
 
 
 def _check_metric(header: Any, x: Floats, y: Floats, z: Floats) -> None:
-    """Raise DatasetError for a LAS file in degrees: by its numbers, since many files name no
+    """Raise DatasetError for a LAS file in degrees, judged by its numbers: many files name no
     coordinate system."""
     if not len(x):
         return
     fine, tall = header.scales[:2].max(), DEGREES_TALL * max(np.ptp(x), np.ptp(y))
     on_earth = np.abs(x).max() <= 180 and np.abs(y).max() <= 90
+    # fine steps of x and y beside coarse or tall heights: degrees beside metres
     if on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or np.ptp(z) > tall):
         raise DatasetError(
             "has geographic coordinates, degrees; expected metres, z up: project it first, to UTM "
@@ -288,15 +320,17 @@ def _check_metric(header: Any, x: Floats, y: Floats, z: Floats) -> None:
 
 
 def _lowered(names: list[str]) -> list[str]:
-    """Names in small letters, for some programs write X Y Z, unless two would then be the same."""
+    """Lower the case of names, since some programs write X Y Z, unless two would then be the
+    same."""
     lowered = [name.lower() for name in names]
     return lowered if len(set(lowered)) == len(names) else names
 
 
 def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding: str) -> Table:
-    """The used fields of `count` points, each a line of text or bytes of type `layout`, whose
-    fields are arrays: the first number of each is taken. Raises ValueError for too many points, or
-    fewer than that."""
+    """Read the used fields of `count` points, each a line of text or bytes of type `layout`.
+
+    Fields are arrays, of which the first number is read. Raises ValueError for too many points, or
+    fewer than promised."""
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
     names = layout.names or ()
@@ -305,6 +339,7 @@ def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding:
         starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
         columns = text_columns(content, {n: starts[names.index(n)] for n in fields}, count)
     else:
+        # fewer points than promised are refused below, with both counts
         rows = np.frombuffer(content, layout, min(count, len(content) // layout.itemsize))
         columns = {name: rows[name][:, 0] for name in fields}
     if (held := len(columns["x"])) != count:
@@ -315,15 +350,27 @@ def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding:
 def text_columns(
     text: bytes | memoryview, places: Mapping[str, int], max_rows: int
 ) -> dict[str, Floats]:
-    """The columns at some `places` of a text's first lines. Raises ValueError where a line holds
-    far more than a point."""
+    """Read columns of a text's first lines.
+
+    Args:
+        text: The lines.
+        places: Numbers of columns by name.
+        max_rows: The greatest number of lines.
+
+    Returns:
+        The columns by name, (N,).
+
+    Raises:
+        ValueError: If a line is far longer than a point, or has a word in these columns.
+    """
+    # checked first: loadtxt reads a line of any length into memory
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
     if np.diff(ends, prepend=-1, append=len(text)).max() > MOST_LINE_BYTES:
         raise ValueError(
             f"a line of more than {MOST_LINE_BYTES} bytes, expected x y z and little more"
         )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of lines that hold nothing
+        warnings.simplefilter("ignore")  # about empty lines
         rows = np.loadtxt(
             io.BytesIO(text),
             ndmin=2,
@@ -335,13 +382,24 @@ def text_columns(
 
 
 def read_xyz(content: bytes) -> Table:
-    """Text: x, y and z are the first numbers of each line, unless its first line names others."""
-    head, _, rest = content.partition(b"\n")
+    """Read text: x, y and z are the first numbers of each line, unless its first line names others.
+
+    Args:
+        content: The file's bytes.
+
+    Returns:
+        x, y and z.
+
+    Raises:
+        ValueError: If numbers have decimal commas.
+    """
+    head, _, body = content.partition(b"\n")
     words = head.decode("latin-1").lower().replace(",", " ").strip("#/ \r").split()
     places = dict(zip("xyz", range(3), strict=True))
     if set(words) >= set("xyz"):
         # others may be words, such as a time of day
-        places, content = {axis: words.index(axis) for axis in "xyz"}, rest
+        places, content = {axis: words.index(axis) for axis in "xyz"}, body
+    # else the commas would make two numbers of one
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     columns = text_columns(content.replace(b",", b" "), places, MOST_POINTS + 1)
@@ -349,8 +407,19 @@ def read_xyz(content: bytes) -> Table:
 
 
 def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> Table:
-    """Float32, point after point, of `columns` numbers each; or of as many as
-    `fitting_columns` determines, if that is None."""
+    """Read float32, point after point.
+
+    Args:
+        content: The file's bytes.
+        columns: Numbers of a point; None lets `fitting_columns` determine it.
+        usual: The number of columns if the numbers do not determine it.
+
+    Returns:
+        x, y and z.
+
+    Raises:
+        ValueError: If the size is no multiple of a point's.
+    """
     values = np.frombuffer(content, "<f4", len(content) // 4)
     count = columns or fitting_columns(values, usual)
     if len(content) % (4 * count):
@@ -360,23 +429,55 @@ def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> T
 
 
 def read_kitti(content: bytes, columns: int | None) -> Table:
-    """A .bin in a folder of KITTI's layout: 4 columns if the numbers do not tell."""
+    """Read a .bin in a folder of KITTI's layout.
+
+    Args:
+        content: The file's bytes.
+        columns: Numbers of a point; None to determine it, 4 if the numbers do not.
+
+    Returns:
+        x, y and z.
+    """
     return read_bin(content, columns, KITTI)
 
 
 def read_nuscenes(content: bytes, columns: int | None) -> Table:
-    """NuScenes' .pcd.bin: float32, x y z intensity ring, point after point."""
+    """Read nuScenes' .pcd.bin: float32, x y z intensity ring, point after point.
+
+    Args:
+        content: The file's bytes.
+        columns: Numbers of a point; 5 if None.
+
+    Returns:
+        x, y and z.
+    """
     count = columns or NUSCENES
     table = read_bin(content, count)
     return table._replace(layout=f"x y z intensity ring (nuScenes .pcd.bin, {count} columns)")
 
 
 def read_array(content: bytes, columns: int | None) -> Table:
-    """NumPy's .npy file."""
+    """Read NumPy's .npy file.
+
+    Args:
+        content: The file's bytes.
+        columns: As for `table_of_array`.
+
+    Returns:
+        The used columns.
+    """
     return table_of_array(read_npy(content), columns, ".npy")
 
 
 def read_archive(content: bytes, columns: int | None) -> Table:
-    """The array `points` of NumPy's archive."""
+    """Read the array `points` of NumPy's archive.
+
+    Args:
+        content: The file's bytes.
+        columns: As for `table_of_array`.
+
+    Returns:
+        The used columns.
+    """
     (points,) = read_npz(content, "points", max_bytes=MOST_SCAN_BYTES)
     return table_of_array(points, columns, ".npz")

@@ -1,9 +1,8 @@
 """Kinds of worlds, one file a kind: a frozen dataclass of parameters with a method that adds solids
 to an MjSpec.
 
-The file's name is the kind's name, and its class has that name with a capital. Nothing else lists
-the kinds: a new file here is a new kind. A user's own is named as ``module:Class``.
-"""
+The file's name is the kind's name, and its class has that name with a capital. There is no other
+list of kinds: a new file here is a new kind. A user's own is named as ``module:Class``."""
 
 import dataclasses
 import itertools
@@ -34,20 +33,35 @@ KINDS = Registry(
 
 
 def kind_names() -> tuple[str, ...]:
-    """Names of the kinds that come with scenegen, sorted; imports none of them."""
+    """Return the names of built-in kinds, sorted, without importing them."""
     return tuple(KINDS.builtin)
 
 
 def graded(kind: str, difficulty: str) -> str:
-    """What a kind's preset is called beside its others: "maze", or "maze-hard"."""
+    """Name a preset beside its kind's others: "maze", or "maze-hard".
+
+    Args:
+        kind: The kind.
+        difficulty: "easy", "medium" or "hard".
+
+    Returns:
+        The preset's name.
+    """
     return kind if difficulty == "medium" else f"{kind}-{difficulty}"
 
 
 def find_kind(name: str) -> "type[WorldKind]":
-    """The class of the kind called `name`: one of `kind_names()`, or a user's own as
-    ``module:Class``.
+    """Import the class of a kind.
 
-    Raises ValueError, in one line, where there is none, or one that is no kind.
+    Args:
+        name: One of `kind_names()`, or a user's own as ``module:Class``.
+
+    Returns:
+        The class.
+
+    Raises:
+        ValueError: In one line, if there is no such kind, or its class is not a complete
+            `WorldKind`.
     """
     from scenegen.worlds.kinds.kind import WorldKind
 

@@ -77,16 +77,22 @@ class Cave(Classed):
     """Rocks per square metre; one value a world."""
 
     def most_solids(self) -> float:
-        """Two solids a dripstone, one a rock."""
+        """Count two solids a dripstone, one a rock."""
         area = self.size_m[0] * self.size_m[1]
         return (2 * self.dripstone_density[1] + self.rock_density[1]) * area + 2
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Dig, and put stones where there is room."""
+        """Dig chambers and tunnels, and put stones where there is room.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts, (x_m, y_m, _) = Parts(), self.size_m
         height, rough = rng.uniform(*self.height_m), rng.uniform(*self.rough_m)
         hills, dents = (hilly(self.size_m, 1.2, (7.0, 3.0), rng=rng) for _ in range(2))
         rock = np.clip(self._outside(hills.shape, rng=rng) / RAMP_M, 0.0, 1.0)
+        # a smooth ramp; 0.3 m more than half the height, so that floor and roof overlap in the rock
         rock = rock * rock * (3.0 - 2.0 * rock) * (height / 2 + 0.3)
         floor, roof = rough * hills + rock, rough * dents + rock
         middle, size = (x_m / 2, y_m / 2), (x_m, y_m)
@@ -101,9 +107,12 @@ class Cave(Classed):
             high = height - height_at(roof, self.size_m, x, y)
             long, wide, side = rng.random(3).tolist()
             reach = (high - low) * (0.25 + 0.6 * long)
+            # none in the rock, or where there is little room
             if high - low > 1.0:
+                # seven of ten hang; feet reach into the rock, so that no gap shows
                 foot, up = (high + 0.1, -1.0) if side < 0.7 else (low - 0.1, 1.0)
                 radius = 0.08 + 0.25 * wide
+                # the outer half is half as thick
                 knee = foot + up * reach / 2
                 parts.limb("rock", (x, y, foot), (x, y, knee), radius)
                 parts.limb("rock", (x, y, knee), (x, y, foot + up * reach), radius / 2)
@@ -114,45 +123,50 @@ class Cave(Classed):
         parts.add_to(spec)
 
     def _outside(self, shape: tuple[int, ...], *, rng: Generator) -> Floats:
-        """How far points of a lattice (along y, along x) lie outside of chambers and tunnels,
-        metres; less than 0 inside."""
+        """Compute how far points of a lattice (along y, along x) lie outside chambers and tunnels.
+
+        Metres, negative inside."""
         x_m, y_m, _ = self.size_m
         y, x = np.meshgrid(
             np.linspace(0.0, y_m, shape[0]), np.linspace(0.0, x_m, shape[1]), indexing="ij"
         )
         count = int(rng.integers(self.chambers[0], self.chambers[1] + 1))
+        # middles keep off the edges, so that most of a chamber lies in the world
         chambers = rng.uniform((4.0, 4.0), (x_m - 4.0, y_m - 4.0), (count, 2))
         radii = rng.uniform(*self.chamber_m, count)
         outside = np.full(shape, np.inf)
         for (middle_x, middle_y), radius in zip(chambers.tolist(), radii.tolist(), strict=True):
-            apart = np.sqrt((x - middle_x) ** 2 + (y - middle_y) ** 2)
-            outside = np.minimum(outside, apart - radius)
+            distance = np.sqrt((x - middle_x) ** 2 + (y - middle_y) ** 2)
+            outside = np.minimum(outside, distance - radius)
         for start, end in self._tunnels(chambers, rng=rng):
-            apart = _from_segment(x, y, start, end)
-            outside = np.minimum(outside, apart - rng.uniform(*self.tunnel_m))
+            distance = _from_segment(x, y, start, end)
+            outside = np.minimum(outside, distance - rng.uniform(*self.tunnel_m))
         return outside
 
     def _tunnels(self, chambers: Floats, *, rng: Generator) -> list[tuple[Floats, Floats]]:
-        """Where tunnels begin and end, (2,) each, from the middles of chambers (n, 2), metres."""
+        """Choose where tunnels begin and end, (2,) each, metres, from the middles of chambers (n,
+        2)."""
         count, tunnels = len(chambers), []
         for n in range(1, count):
-            apart = ((chambers[:n] - chambers[n]) ** 2).sum(axis=1)
-            tunnels.append((chambers[n], chambers[int(apart.argmin())]))
+            distance2 = ((chambers[:n] - chambers[n]) ** 2).sum(axis=1)
+            # each to the nearest earlier one: a tree, so all chambers are joined
+            tunnels.append((chambers[n], chambers[int(distance2.argmin())]))
         for _ in range(round(self.loop_share * count)):
-            one, other = rng.integers(0, count, 2).tolist()
-            tunnels.append((chambers[one], chambers[other]))
+            first, second = rng.integers(0, count, 2).tolist()
+            tunnels.append((chambers[first], chambers[second]))
         for _ in range(round(self.dead_share * count)):
             start = chambers[int(rng.integers(0, count))]
             angle, far = rng.random(2).tolist()
             sine, cosine = sin_cos(np.array(2 * np.pi * angle))
-            away = (8.0 + 8.0 * far) * np.array([cosine, sine])
-            tunnels.append((start, start + away))
+            offset = (8.0 + 8.0 * far) * np.array([cosine, sine])
+            tunnels.append((start, start + offset))
         return tunnels
 
 
 def _from_segment(x: Floats, y: Floats, start: Floats, end: Floats) -> Floats:
-    """Distances of points from the segment between `start` and `end` (2,), metres."""
+    """Compute distances of points from the segment between `start` and `end` (2,), metres."""
     along = end - start
+    # a loop may join a chamber to itself
     length2 = max(float(along[0] * along[0] + along[1] * along[1]), 1e-9)
     share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / length2
     share = np.clip(share, 0.0, 1.0)  # the nearest point of the segment, from its start to its end
@@ -161,7 +175,7 @@ def _from_segment(x: Floats, y: Floats, start: Floats, end: Floats) -> Floats:
 
 
 def _stone(parts: Parts, turn: Sequence[float], *, rng: Generator) -> None:
-    """A box or an ellipsoid at the origin of a frame, at an attitude w x y z."""
+    """Add a box or an ellipsoid at the origin of a frame, at an attitude w x y z."""
     a, b, c, flat = rng.random(4).tolist()
     size = (0.15 + 0.6 * a, 0.15 + 0.5 * b, 0.1 + 0.4 * c)
     if flat < 0.5:

@@ -57,7 +57,12 @@ class Clutter(Classed):
     """Share of solids at any attitude; the rest are upright."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw four times as many places as are wanted, and keep the likeliest by the noise."""
+        """Draw four times as many places as needed, and keep the likeliest by the noise.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         self.add_ground(spec)
         n = max(round(log_uniform(*self.density, rng=rng) * self.size_m[0] * self.size_m[1]), 1)
         places, patch = rng.uniform(0.0, self.size_m, (4 * n, 3)), rng.uniform(*self.patch_m)
@@ -65,12 +70,14 @@ class Clutter(Classed):
         for octave in range(self.octaves):
             noise += noise_field(places, patch / 2**octave, rng=rng) / 2**octave
         # the least of -log(u) / weight: drawn without replacement, by weight (Efraimidis 2006)
+        # noise^contrast; 1e-6, since the logarithm of 0 is infinite
         weight = exp(self.contrast * log(np.maximum(noise / noise.max(), 1e-6)))
         keys = -log(rng.uniform(1e-12, 1.0, len(places))) / np.maximum(weight, 1e-30)
         places = places[np.argsort(keys, kind="stable")[:n]]
         low, high = log(np.array(self.half_size_m)).tolist()
         sizes = np.asarray(exp(rng.uniform(low, high, (n, 3))))
         thin = rng.random(n) < self.thin_share
+        # the radius of round shapes; half edges of others also along y
         sizes[thin, 0] = np.maximum(sizes[thin, 0] / 5, 0.02)
         shapes = SHAPES[rng.integers(0, len(SHAPES), n)]
         boxy = thin & ((shapes == BOX) | (shapes == ELLIPSOID))

@@ -58,12 +58,17 @@ class Forest(Classed):
     """Fallen trunks per square metre; one value a world."""
 
     def most_solids(self) -> float:
-        """Up to twelve solids a tree, two a bush."""
-        each = 12 * self.density[1] + 2 * self.bush_density[1] + self.fallen_density[1]
-        return each * self.size_m[0] * self.size_m[1]
+        """Count up to twelve solids a tree, two a bush."""
+        density = 12 * self.density[1] + 2 * self.bush_density[1] + self.fallen_density[1]
+        return density * self.size_m[0] * self.size_m[1]
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw the ground, and plant everything on it."""
+        """Draw the ground, and plant everything on it.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts, (x_m, y_m, _) = Parts(), self.size_m
         heights = rng.uniform(*self.hill_m) * hilly(self.size_m, 1.25, (12.0, 5.0), rng=rng)
         if self.ground:
@@ -78,22 +83,26 @@ class Forest(Classed):
         for place in places(self.density):
             self._tree(place, rng=rng)
         for place in places(self.bush_density):
+            # two overlapping ellipsoids, so that bushes are not round
             for x, y, size, z in rng.uniform(-1.0, 1.0, (2, 4)).tolist():
                 radius = 0.6 + 0.35 * size
                 radii = (radius, radius, radius * (0.7 + 0.2 * z))
                 place.ball("vegetation", (0.4 * x, 0.4 * y, 0.5 * radius), radii)
         for place in places(self.fallen_density):
+            # one end may lie on a stump or a branch
             long, radius = rng.uniform(2.0, 7.0), rng.uniform(*self.trunk_m)
             lifted = rng.uniform(0.0, 1.5)
             place.limb("trunk", (-long / 2, 0, radius), (long / 2, 0, radius + lifted), radius)
         parts.add_to(spec)
 
     def _tree(self, parts: Parts, *, rng: Generator) -> None:
-        """Two limbs of a trunk, perhaps a third that forks off, and a crown."""
+        """Add two limbs of a trunk, perhaps a third that forks off, and a crown."""
         height, radius = rng.uniform(*self.height_m), rng.uniform(*self.trunk_m)
+        # an offset along x and y for each of the two limbs
         lean = self.lean * rng.uniform(-1.0, 1.0, (2, 2)) * height / 2
         knee = (*lean[0].tolist(), 0.45 * height)
         top = (*(lean[0] + lean[1]).tolist(), 0.85 * height)
+        # from below the ground, which is uneven
         parts.limb("trunk", (0, 0, -0.3), knee, radius)
         parts.limb("trunk", knee, top, 0.7 * radius)
         ends, (fork, bare) = [top], rng.random(2).tolist()
@@ -104,6 +113,7 @@ class Forest(Classed):
             ends.append(end)
         if bare < self.bare_share:
             return
+        # each end of the trunk has a crown of one to three balls
         for x, y, z in ends:
             drawn = rng.uniform(-1.0, 1.0, (int(rng.integers(1, 4)), 4)).tolist()
             for dx, dy, dz, size in drawn:

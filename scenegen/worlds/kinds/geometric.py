@@ -90,12 +90,17 @@ class Geometric(WorldKind):
     """Radii and half edges of small solids, metres."""
 
     def most_solids(self) -> float:
-        """How many solids a world may have: a heap counts as what is in it."""
+        """Count the solids of a world, those of heaps included."""
         heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
         return super().most_solids() + heaps * (self.clutter_count[1] - 1)
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw solids, walls and heaps, each of a density drawn once a world."""
+        """Draw solids, walls and heaps, each of a density drawn once a world.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
         scale = rng.uniform(*self.scale)
@@ -104,25 +109,28 @@ class Geometric(WorldKind):
         self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
     def _add_solids(self, spec: Drawing, count: int, scale: float, *, rng: Generator) -> None:
-        """Standing, floating and stacked ones."""
+        """Add standing, floating and stacked solids."""
         kind = rng.integers(0, len(SHAPES), count)
         shape, size = SHAPES[kind], scale * rng.uniform(*self.half_size_m, (count, 3))
         plan = rng.uniform((0.0, 0.0), self.size_m[:2], (count, 2))
         tilt = attitudes(count, self.tilted_share, rng=rng)
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
+        # the earlier solid to stack each on, drawn for all so that shares do not change other draws
         on = rng.integers(0, np.maximum(np.arange(count), 1))
         reach = _half_height(shape, size, tilt)
+        # one number decides among standing, stacked and floating
         standing = place < self.standing_share
         z = np.where(standing, reach, free_height)
         stacked = ~standing & (place < self.standing_share + self.stacked_share)
+        # one after the other: the solid below may be a stacked one itself
         for n in np.flatnonzero(stacked).tolist():
             if n > 0:
                 plan[n], z[n] = plan[on[n]], z[on[n]] + reach[on[n]] + reach[n]
         spec.add_geoms(shape, size, np.stack([*plan.T, z], axis=1), tilt, COLOURS[kind])
 
     def _add_walls(self, spec: Drawing, count: int, *, rng: Generator) -> None:
-        """Upright slabs, each turned at will."""
+        """Add upright slabs, turned at random."""
         ranges = (self.wall_length_m, self.wall_half_thickness_m, self.wall_height_m)
         low, high = zip(
             (0.0, self.size_m[0]), (0.0, self.size_m[1]), *ranges, (0.0, np.pi), strict=True
@@ -133,7 +141,7 @@ class Geometric(WorldKind):
         spec.add_geoms(np.full(count, BOX), np.transpose(sizes), np.transpose(centres), turn)
 
     def _add_clutter(self, spec: Drawing, heaps: int, *, rng: Generator) -> None:
-        """Heaps of small tilted solids on the ground."""
+        """Add heaps of small tilted solids on the ground."""
         for _ in range(heaps):
             centre = rng.uniform((0.0, 0.0), self.size_m[:2])
             count = int(rng.integers(self.clutter_count[0], self.clutter_count[1] + 1))
@@ -141,16 +149,18 @@ class Geometric(WorldKind):
             shape, size = SHAPES[kind], rng.uniform(*self.clutter_half_size_m, (count, 3))
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
+            # the lowest point is on the ground or above
             z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
             place = np.column_stack([centre + offset[:, :2], z])
             spec.add_geoms(shape, size, place, tilt, COLOURS[kind])
 
 
 def _half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
-    """How far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their centres,
-    metres."""
+    """Compute how far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their
+    centres."""
     w, x, y, z = quaternion.T
     rotation = np.zeros((len(size), 3, 3))
+    # only the row of z is needed
     rotation[:, 2] = np.transpose(
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
     )

@@ -61,22 +61,29 @@ class Industrial(Classed):
     """Distance of columns, metres; one value a world."""
 
     def most_solids(self) -> float:
-        """Solids of every thing, at their most."""
+        """Count the solids of everything, at its greatest number."""
         x_m, y_m, _ = self.size_m
-        each = (
+        density = (
             3 * self.tank_density[1] + 6 * self.machine_density[1] + 60 * self.scaffold_density[1]
         )
+        # pipes and catwalks may run along either edge
         long = max(x_m, y_m)
         columns = (x_m / self.column_m[0] + 1) * (y_m / self.column_m[0] + 2)
         pipes, walks = self.bundles[1] * (30 + long / 2), self.catwalks[1] * (4 * long + 30)
-        return each * x_m * y_m + pipes + walks + columns
+        return density * x_m * y_m + pipes + walks + columns
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw the hall, and one group of things after the other."""
+        """Draw the hall, and one group of things after the other.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
-        apart = rng.uniform(*self.column_m)
-        for x in np.arange(apart / 2, x_m, apart).tolist():
-            for y in np.arange(apart / 2, y_m, apart).tolist():
+        spacing = rng.uniform(*self.column_m)
+        # rows of columns under beams that cross the hall
+        for x in np.arange(spacing / 2, x_m, spacing).tolist():
+            for y in np.arange(spacing / 2, y_m, spacing).tolist():
                 parts.box("column", (x - 0.15, y - 0.15, 0), (x + 0.15, y + 0.15, z_m))
             parts.box("beam", (x - 0.12, 0, z_m - 0.5), (x + 0.12, y_m, z_m))
         for _ in range(round(rng.uniform(*self.bundles))):
@@ -90,25 +97,30 @@ class Industrial(Classed):
         ):
             inside = ((1.0, 1.0), (x_m - 1.0, y_m - 1.0))
             for x, y in scattered(density, x_m * y_m, *inside, rng=rng):
+                # quarter turns, in line with the hall
                 make(parts.at(x, y, 0.0, int(rng.integers(0, 4)) * QUARTER), rng=rng)
         parts.add_to(spec)
 
     def _lane(self, parts: Parts, *, rng: Generator) -> Parts:
-        """A frame whose x axis crosses the hall along x or along y."""
+        """Make a frame whose x axis crosses the hall along x or along y."""
         x_m, y_m, _ = self.size_m
         if rng.random() < 0.5:
             return parts.at(0.0, rng.uniform(0.1, 0.9) * y_m)
         return parts.at(rng.uniform(0.1, 0.9) * x_m, 0.0, 0.0, QUARTER)
 
     def _pipes(self, parts: Parts, *, rng: Generator) -> None:
-        """Parallel pipes at one height, some of which turn down to the floor, on hangers."""
+        """Add parallel pipes at one height on hangers; some turn down to the floor."""
+        # the shorter edge, since the lane may run along either
         long, z = min(self.size_m[:2]), rng.uniform(0.4, self.size_m[2] - 1.0)
         y = 0.0
+        # side by side: the next pipe begins beyond the last one's surface
         for radius in rng.uniform(*self.pipe_m, int(rng.integers(1, 6))).tolist():
             y += radius
+            # half of the pipes end in the hall's second half, and turn down there
             end = long * (0.5 + 0.5 * rng.random()) if rng.random() < 0.5 else long
             parts.rod("pipe", (0, y, z), (end, y, z), radius)
             if end < long:
+                # closes the corner between the two cylinders
                 parts.ball("pipe", (end, y, z), (radius, radius, radius))
                 parts.rod("pipe", (end, y, 0), (end, y, z), radius)
             y += radius + rng.uniform(0.05, 0.3)
@@ -118,6 +130,7 @@ class Industrial(Classed):
 
     def _tank(self, parts: Parts, *, rng: Generator) -> None:
         radius, (long, lying) = rng.uniform(*self.tank_m), rng.random(2).tolist()
+        # lying tanks have round ends and a saddle, upright ones a domed top
         if lying < 0.4:
             half, z = radius * (0.8 + long), radius + 0.5
             parts.rod("tank", (-half, 0, z), (half, 0, z), radius)
@@ -130,8 +143,9 @@ class Industrial(Classed):
             parts.ball("tank", (0, 0, high), (radius, radius, 0.4 * radius))
 
     def _catwalk(self, parts: Parts, *, rng: Generator) -> None:
-        """A grating along x on brackets, with railings and a flight of stairs."""
+        """Add a grating along x on brackets, with railings and a flight of stairs."""
         long, z, wide = min(self.size_m[:2]), rng.uniform(2.2, 5.0), rng.uniform(0.7, 1.2)
+        # bars with gaps: rays pass through a grating
         for y in np.arange(0.0, wide, 0.24).tolist():
             parts.box("stairs", (0, y, z - 0.06), (long, y + 0.06, z))
         for x in np.arange(0.0, long, 2.0).tolist():
@@ -141,14 +155,15 @@ class Industrial(Classed):
         for y in (0.0, wide):
             for up in (0.55, 1.1):
                 parts.rod("fence", (0, y, z + up), (long, y, z + up), 0.025)
-        at = rng.uniform(0.2, 0.6) * long
+        foot = rng.uniform(0.2, 0.6) * long
         for n in range(int(z / 0.2)):
-            low = (at + 0.25 * n, -1.0, 0.2 * n + 0.12)
+            # the flight of stairs runs beside the grating
+            low = (foot + 0.25 * n, -1.0, 0.2 * n + 0.12)
             parts.box("stairs", low, (low[0] + 0.28, -0.1, 0.2 * n + 0.18))
 
 
 def _machine(parts: Parts, *, rng: Generator) -> None:
-    """Boxes and a drum on a base."""
+    """Add boxes and a drum on a base."""
     x, y, z = rng.uniform((0.6, 0.4, 0.6), (2.0, 1.2, 1.8)).tolist()
     parts.box("machine", (-x, -y, 0), (x, y, 0.25))
     parts.box("machine", (-0.9 * x, -0.8 * y, 0.25), (0.2 * x, 0.8 * y, z))
@@ -158,7 +173,7 @@ def _machine(parts: Parts, *, rng: Generator) -> None:
 
 
 def _scaffold(parts: Parts, *, rng: Generator) -> None:
-    """Bays of tubes and planks."""
+    """Add bays of tubes and planks."""
     bays, lifts = (int(n) for n in rng.integers((1, 1), (4, 4)))
     for bay in range(bays + 1):
         for y in (0.0, 0.73):

@@ -1,6 +1,4 @@
-"""What every kind of world has in common, and random draws with the same bits on every
-processor.
-"""
+"""Common base of all kinds of worlds, and random draws with the same bits on every processor."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -29,8 +27,7 @@ Size = tuple[float, float, float]
 class WorldKind(ABC):
     """Parameters of a kind of world, and how to draw one.
 
-    Worlds span x and y from 0 to `size_m`; the ground is z = 0.
-    """
+    Worlds span x and y from 0 to `size_m`; the ground is z = 0."""
 
     version: ClassVar[int]
     """The preset's version: raised whenever the same parameters would give other worlds, or the
@@ -59,6 +56,7 @@ class WorldKind(ABC):
     """Thickness of that slab, metres."""
 
     def __post_init__(self) -> None:
+        # a kind's limits must hold before a world is drawn: drawing could take all memory
         check(self, bounds_by_name)
         if (total := sum(getattr(self, name) for name in self.shares)) > 1:
             raise ValueError(f"{' + '.join(self.shares)} = {total}: expected at most 1")
@@ -74,25 +72,31 @@ class WorldKind(ABC):
             )
 
     def most_solids(self) -> float:
-        """How many solids a world may have. Here, parameters named `…density` count them per square
-        metre; a kind that counts otherwise says so."""
+        """Return the greatest number of solids in a world.
+
+        By default, parameters named `…density` count them per square metre; a kind that counts
+        otherwise overrides this."""
         densities = [value for name, value in vars(self).items() if name.endswith("density")]
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     @abstractmethod
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
-        `mujoco.MjSpec`."""
+        """Draw one world and add its solids to `spec`.
+
+        Args:
+            spec: Takes solids by `add_geoms` or `add_geom`, or as any `mujoco.MjSpec`.
+            rng: Decides everything that is random.
+        """
 
     def begun(self, of_class: str) -> Parts:
-        """The parts of a world of which nothing but the floor is drawn yet, where there is one."""
+        """Begin a world with the floor, if it has one, of this class."""
         parts, (x, y, _) = Parts(), self.size_m
         if self.ground:
             parts.box(of_class, (0, 0, -self.ground_m), (x, y, 0))
         return parts
 
     def add_ground(self, spec: Drawing) -> None:
-        """Add the floor, where there is one, to worlds whose solids have no classes."""
+        """Add the floor, if there is one, to worlds whose solids have no classes."""
         if self.ground:
             x, y, _ = self.size_m
             half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
@@ -100,15 +104,23 @@ class WorldKind(ABC):
 
 
 class Classed(WorldKind):
-    """A kind each of whose solids has a class."""
+    """A kind whose solids all have classes."""
 
     classes = CLASSES
     """Names of the classes that they may have."""
 
 
 def bounds_by_name(name: str, value: Any) -> Bounds:
-    """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two
-    rise."""
+    """Return the bounds of a parameter that declares none, by its name's ending; ranges of two
+    rise.
+
+    Args:
+        name: The parameter's name.
+        value: Its value.
+
+    Returns:
+        Its bounds.
+    """
     pair = isinstance(value, list | tuple) and len(value) == 2
     if name.endswith("_share"):
         return Bounds(least=0, most=1, rising=pair)
@@ -120,20 +132,36 @@ def bounds_by_name(name: str, value: Any) -> Bounds:
 
 
 def yaw_quaternion(yaw_rad: ArrayLike) -> Floats:
-    """Turns (...) about the vertical as quaternions (..., 4), w x y z."""
+    """Compute quaternions (..., 4), w x y z, of turns (...) about the vertical."""
     sine, cosine = sin_cos(np.asarray(yaw_rad) / 2)
     still = np.zeros_like(sine)
     return np.stack([cosine, still, still, sine], axis=-1)
 
 
 def log_uniform(low: float, high: float, *, rng: Generator) -> float:
-    """One number between `low` and `high`, both above 0, whose logarithm is uniform."""
+    """Draw one number whose logarithm is uniform.
+
+    Args:
+        low: The lower bound, above 0.
+        high: The upper bound.
+        rng: Draws it.
+
+    Returns:
+        The number.
+    """
     return float(exp(rng.uniform(*log([low, high]))))
 
 
 def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
-    """Standard normal numbers of any shape, two from each point of a disc (Marsaglia's polar
-    method)."""
+    """Draw standard normal numbers, two from each point of a disc (Marsaglia's polar method).
+
+    Args:
+        shape: Of the result.
+        rng: Draws the points.
+
+    Returns:
+        Numbers of that shape.
+    """
     count = int(np.prod(shape))
     points, square = _disc((count + 1) // 2, rng=rng)
     return (
@@ -142,24 +170,37 @@ def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
 
 
 def attitudes(count: int, tilted_share: float, *, rng: Generator) -> Floats:
-    """Unit quaternions (count, 4), w x y z: uniform over all attitudes for a share (Marsaglia
-    1972), turned about the vertical alone for the rest."""
+    """Draw attitudes: for a share, uniform over all (Marsaglia 1972), for the rest turns about the
+    vertical.
+
+    Args:
+        count: How many.
+        tilted_share: The share of tilted ones.
+        rng: Draws them.
+
+    Returns:
+        Unit quaternions (count, 4), w x y z.
+    """
     tilted = rng.random(count) < tilted_share
     turn, square = _disc(count, rng=rng)
-    tilt, other = _disc(count, rng=rng)
-    tilt *= np.where(tilted, np.sqrt((1.0 - square) / other), 0.0)[:, None]
+    tilt, tilt_square = _disc(count, rng=rng)
+    # uniform on the sphere in four dimensions: a point of one disc, and one of another scaled to
+    # the rest of the length
+    tilt *= np.where(tilted, np.sqrt((1.0 - square) / tilt_square), 0.0)[:, None]
+    # without tilt, the first disc's angle alone is half the turn
     turn /= np.where(tilted, 1.0, np.sqrt(square))[:, None]
     return np.stack([turn[:, 0], tilt[:, 0], tilt[:, 1], turn[:, 1]], axis=1)
 
 
 def _disc(count: int, *, rng: Generator) -> tuple[Floats, Floats]:
-    """Points (count, 2) uniform in the unit disc less its centre, and their squared distances
-    (count,) from it."""
+    """Draw points (count, 2) uniform in the unit disc without its centre, and their squared
+    distances (count,) from it."""
     points, square = np.zeros((count, 2)), np.zeros(count)
     missing = np.arange(count)
     while len(missing):
         drawn = 2.0 * rng.random((len(missing), 2)) - 1.0
         points[missing] = drawn
         square[missing] = drawn[:, 0] * drawn[:, 0] + drawn[:, 1] * drawn[:, 1]
+        # points of the square around the disc are drawn again until they lie in it
         missing = missing[(square[missing] >= 1.0) | (square[missing] == 0.0)]
     return points, square

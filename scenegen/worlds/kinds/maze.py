@@ -18,7 +18,7 @@ STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 class _Chances(NamedTuple):
-    """Numbers from 0 to 1 that decide what stands between two cells."""
+    """Numbers from 0 to 1 that decide the wall between two cells."""
 
     loop: float
     """Whether the cells are joined though there is another way."""
@@ -87,11 +87,17 @@ class Maze(Classed):
         return max(int(x_m / cell), 1), max(int(y_m / cell), 1), max(int(z_m / level), 1)
 
     def most_solids(self) -> float:
-        """Five solids for each of the walls around every cell."""
+        """Count five solids for each of the walls around every cell."""
+        # three walls belong to a cell; each has four pieces and a shelf
         return 15.0 * np.prod(self._cells(self.cell_m[0], self.level_m[0]))
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Join cells in a random order, and build what is between them."""
+        """Join cells in a random order, and build the walls between them.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts = self.begun("floor")
         shape = self._cells(rng.uniform(*self.cell_m), rng.uniform(*self.level_m))
         edges = np.array(self.size_m) / shape
@@ -106,8 +112,9 @@ class Maze(Classed):
         for n in rng.permutation(len(walls)).tolist():
             axis, cell = walls[n]
             chances = _Chances(*drawn[n])
-            beyond = tuple(np.add(cell, STEPS[axis]).tolist())
-            joined = join(joins, cell, beyond) or chances.loop < self.loop_share
+            neighbour = tuple(np.add(cell, STEPS[axis]).tolist())
+            # joined if there was no way between them yet (Kruskal), or by chance
+            joined = join(joins, cell, neighbour) or chances.loop < self.loop_share
             if not (joined and chances.left_out < self.open_share):
                 self._wall(parts, axis, edges * cell, edges, half, joined, chances)
         parts.add_to(spec)
@@ -122,15 +129,19 @@ class Maze(Classed):
         joined: bool,
         chances: _Chances,
     ) -> None:
-        """The wall beyond a cell across `axis`, twice `half` thick, with a window where cells are
-        joined. `low` (3,) is the cell's least corner, and `edges` (3,) are its edges, metres."""
+        """Add the wall beyond a cell across `axis`, with a window if cells are joined.
+
+        It is twice `half` thick. `low` (3,) is the cell's least corner, and `edges` (3,) its edges,
+        metres."""
         begin, end, size_m = low.tolist(), (low + edges).tolist(), edges.tolist()
         along = [n for n in range(3) if n != axis]
         narrowest, widest = self.window_m
         places = (chances.size_0, chances.place_0), (chances.size_1, chances.place_1)
         window: list[Span] = []
         for n, (size, place) in zip(along, places, strict=True):
+            # a rim of wall remains around a window
             wide = min(narrowest + size * (widest - narrowest), size_m[n] - 0.2)
+            # only upright walls have slits, up to the ceiling
             if axis < 2 and chances.slit < self.slit_share:
                 wide = size_m[2] if n == 2 else narrowest
             start = begin[n] + place * (size_m[n] - wide)
@@ -139,6 +150,8 @@ class Maze(Classed):
         of_class = "ceiling" if axis == 2 else "wall"
         parts.wall(of_class, axis, end[axis], half, whole, window if joined else None)
         if not joined and axis < 2 and chances.shelf < self.shelf_share:
+            # the shelf stands out into the cell; its depth uses a chance that closed walls do not
+            # need
             begin[axis] = end[axis] - 0.4 - 0.8 * chances.size_0
             begin[2] += (0.2 + 0.6 * chances.place_0) * size_m[2]
             end[2] = begin[2] + 0.08

@@ -1,6 +1,5 @@
-"""What kinds of worlds build from: boxes, rods and balls in frames of their own, by class; uneven
-ground; and places by density.
-"""
+"""Building blocks of kinds: boxes, rods and balls by class, in frames of their own; uneven ground;
+and random places by density."""
 
 import itertools
 from collections.abc import Sequence
@@ -28,8 +27,7 @@ MAX_CELLS = 500_000
 class Parts:
     """Solids of one world, gathered and then added at once.
 
-    Coordinates are metres in this frame: that of the world, or one that stands upright in it.
-    """
+    Coordinates are metres in this frame: the world's, or one that stands upright in it."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[str, int, Point, Point, Point]] = []
@@ -38,18 +36,34 @@ class Parts:
         """The cosine and the sine of half the frame's turn, and of the turn."""
 
     def at(self, x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> "Parts":
-        """The same solids in a frame whose origin lies here, turned about the vertical."""
+        """Make a frame within this one, turned about the vertical, for the same collection of
+        solids.
+
+        Args:
+            x, y, z: The frame's origin, metres.
+            yaw_rad: Its turn, counter-clockwise seen from above.
+
+        Returns:
+            The frame.
+        """
         frame = Parts()
         frame._rows, frame._origin = self._rows, self._moved((x, y, z))
-        more = (part.tolist() for part in sin_cos(np.array([yaw_rad / 2, yaw_rad])))
+        turns = (part.tolist() for part in sin_cos(np.array([yaw_rad / 2, yaw_rad])))
         frame._turns = [
+            # angle addition formulas, for half the turn and all of it
             (c * cosine - s * sine, s * cosine + c * sine)
-            for (c, s), sine, cosine in zip(self._turns, *more, strict=True)
+            for (c, s), sine, cosine in zip(self._turns, *turns, strict=True)
         ]
         return frame
 
     def box(self, of_class: str, low: Point, high: Point) -> None:
-        """A box with edges along the axes, from its least to its greatest corner."""
+        """Add a box with edges along the axes.
+
+        Args:
+            of_class: Its class.
+            low: Its least corner, metres.
+            high: Its greatest corner.
+        """
         middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
         half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
         self.solid(of_class, BOX, half, middle)
@@ -63,7 +77,7 @@ class Parts:
         whole: Sequence[Span],
         opening: Sequence[Span] | None,
     ) -> None:
-        """A wall with at most one rectangular opening.
+        """Add a wall with at most one rectangular opening.
 
         Args:
             of_class: Its class.
@@ -71,15 +85,16 @@ class Parts:
             at: Where its middle is on that axis, metres.
             half: Half its thickness, metres.
             whole: Its spans along the two other axes.
-            opening: Those of the opening.
+            opening: The opening's spans; None for a closed wall.
         """
         (u0, u1), (v0, v1) = whole
         (a0, a1), (b0, b1) = opening or ((u1, u1), (v0, v0))
+        # before, behind, below and above the opening; of a closed wall only the first has a size
         pieces = [((u0, a0), (v0, v1)), ((a1, u1), (v0, v1))]
         pieces += [((a0, a1), (v0, b0)), ((a0, a1), (b1, v1))]
-        for one, other in pieces:
-            if one[1] - one[0] > 1e-6 and other[1] - other[0] > 1e-6:
-                low, high = [one[0], other[0]], [one[1], other[1]]
+        for u_span, v_span in pieces:
+            if u_span[1] - u_span[0] > 1e-6 and v_span[1] - v_span[0] > 1e-6:
+                low, high = [u_span[0], v_span[0]], [u_span[1], v_span[1]]
                 low.insert(axis, at - half)
                 high.insert(axis, at + half)
                 self.box(of_class, low, high)
@@ -87,12 +102,22 @@ class Parts:
     def rod(
         self, of_class: str, start: Point, end: Point, radius: float, shape: int = CYLINDER
     ) -> None:
-        """A cylinder, or another shape with an axis, from one point to another."""
+        """Add a cylinder, or another shape with an axis, from one point to another.
+
+        Args:
+            of_class: Its class.
+            start: One end, metres.
+            end: The other end.
+            radius: Metres; of a box, half its thickness.
+            shape: `CYLINDER`, `CAPSULE` or `BOX`.
+        """
         along = [b - a for a, b in zip(start, end, strict=True)]
         length = float(np.sqrt(sum(part * part for part in along)))
         x, y, z = (part / length for part in along)
         if z < 0:  # either end may be the upper one
             x, y, z = -x, -y, -z
+        # the shortest turn of the z axis to the rod, by half-angle formulas; z from 0 on keeps the
+        # norm above 1
         norm = float(np.sqrt(2.0 * (1.0 + z)))
         quat = (norm / 2, -y / norm, x / norm, 0.0)
         middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
@@ -100,13 +125,27 @@ class Parts:
         self.solid(of_class, shape, size, middle, quat)
 
     def limb(self, of_class: str, start: Point, end: Point, radius: float) -> None:
-        """A capsule from one point to another."""
+        """Add a capsule from one point to another.
+
+        Args:
+            of_class: Its class.
+            start: Centre of one cap, metres.
+            end: Centre of the other.
+            radius: Metres.
+        """
         self.rod(of_class, start, end, radius, CAPSULE)
 
     def ball(
         self, of_class: str, centre: Point, radii: Point, quat: Sequence[float] = UPRIGHT
     ) -> None:
-        """An ellipsoid."""
+        """Add an ellipsoid.
+
+        Args:
+            of_class: Its class.
+            centre: Metres.
+            radii: Semi-axes, metres.
+            quat: Attitude, w x y z.
+        """
         self.solid(of_class, ELLIPSOID, radii, centre, quat)
 
     def solid(
@@ -117,9 +156,18 @@ class Parts:
         centre: Point,
         quat: Sequence[float] = UPRIGHT,
     ) -> None:
-        """Any solid, with sizes as MuJoCo has them, and an attitude w x y z."""
+        """Add any solid.
+
+        Args:
+            of_class: Its class.
+            shape: Its code, see `lidarsim.solids`.
+            size: MuJoCo's sizes, metres.
+            centre: Metres.
+            quat: Attitude, w x y z.
+        """
         (c, s), _ = self._turns
         w, x, y, z = quat
+        # the product of the frame's turn, (c, 0, 0, s), and the attitude
         turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         self._rows.append((of_class, shape, size, self._moved(centre), turned))
 
@@ -128,10 +176,10 @@ class Parts:
         return x0 + c * x - s * y, y0 + s * x + c * y, z0 + z
 
     def add_to(self, spec: Drawing) -> None:
-        """Add all to a world."""
+        """Add all solids to a world."""
         if self._rows:
             classes, shapes, *numbers = zip(*self._rows, strict=True)
-            # what rounding left of a zero, MuJoCo would write in another way
+            # MuJoCo would write tiny numbers, left by rounding, in another way than zeros
             sizes, centres, quats = (
                 np.where(np.abs(values) < 1e-9, 0.0, values) for values in map(np.array, numbers)
             )
@@ -139,8 +187,16 @@ class Parts:
 
 
 def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:
-    """Join two things, directly or by others: whether they were not joined before. `homes` says of
-    each what it was joined to (union and find, Galler and Fischer 1964)."""
+    """Join two sets, as union and find do (Galler and Fischer 1964).
+
+    Args:
+        homes: The parent of each element that has one; changed in place.
+        first: An element.
+        second: Another one.
+
+    Returns:
+        Whether they were in different sets.
+    """
     while first in homes:
         first = homes[first]
     while second in homes:
@@ -157,17 +213,18 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     Args:
         points: (n, d), d at most 3.
         cell_m: Width of its hills.
-        rng: What it is drawn by.
+        rng: Draws the values.
 
     Returns:
         (n,): from 0 to 1.
 
     Raises:
-        ValueError: The lattice has more than `MAX_CELLS` points.
+        ValueError: If the lattice has more than `MAX_CELLS` points.
     """
     scaled = (points - points.min(axis=0)) / cell_m
     whole = np.floor(scaled).astype(np.int64)
     part = scaled - whole
+    # smoothstep: without a kink at the lattice's points
     part = part * part * (3.0 - 2.0 * part)
     _check_cells(float(np.prod(whole.max(axis=0) + 2.0)), f"noise of {cell_m:g} m")
     lattice = rng.random(tuple(whole.max(axis=0) + 2))
@@ -175,6 +232,7 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     for corner in itertools.product((0, 1), repeat=points.shape[1]):
         weight = np.ones(len(points))
         for axis, far in enumerate(corner):
+            # multilinear interpolation between the cell's corners
             weight = weight * (part[:, axis] if far else 1.0 - part[:, axis])
         noise += weight * lattice[tuple((whole + np.array(corner)).T)]
     return noise
@@ -183,8 +241,17 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
 def hilly(
     size_m: Sequence[float], step_m: float, cells_m: Sequence[float], *, rng: Generator
 ) -> Floats:
-    """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
-    with hills of several widths, each of half the height of the one before."""
+    """Draw heights: noise with hills of several widths, each of half the height of the one before.
+
+    Args:
+        size_m: Extents of the plan along x and y, metres.
+        step_m: About the distance of points, metres.
+        cells_m: Widths of hills, metres.
+        rng: Draws the noise.
+
+    Returns:
+        (along y, along x): from 0 to 1.
+    """
     _check_cells((size_m[0] / step_m + 1) * (size_m[1] / step_m + 1), "uneven ground")
     counts = [max(round(edge / step_m), 1) + 1 for edge in size_m[:2]]
     axes = [
@@ -200,19 +267,28 @@ def hilly(
     return (total / weight).reshape(y.shape)
 
 
-def _check_cells(cells: float, what: str) -> None:
-    """Raise ValueError where a lattice would take too much memory."""
+def _check_cells(cells: float, name: str) -> None:
+    """Raise ValueError if a lattice would take too much memory."""
     if cells > MAX_CELLS:
         raise ValueError(
-            f"{what} has {cells:.3g} points, expected {MAX_CELLS} at most; lower size_m, or make "
+            f"{name} has {cells:.3g} points, expected {MAX_CELLS} at most; lower size_m, or make "
             f"it coarser"
         )
 
 
 def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> float:
-    """The least height at the four points of a lattice (along y, along x) around a place of a
-    plan."""
+    """Find the least height around a place of a plan, on which solids do not float.
+
+    Args:
+        heights: (along y, along x), metres.
+        size_m: Extents of the plan along x and y, metres.
+        x, y: The place, metres.
+
+    Returns:
+        The least height at the four points of the lattice around it, metres.
+    """
     rows, columns = heights.shape
+    # places on the rim belong to the outermost cell
     i = min(max(int(y / size_m[1] * (rows - 1)), 0), rows - 2)
     j = min(max(int(x / size_m[0] * (columns - 1)), 0), columns - 2)
     return float(heights[i : i + 2, j : j + 2].min())
@@ -228,7 +304,7 @@ def scattered(
         area_m2: The area that counts, square metres.
         low: The least corner, k numbers.
         high: The greatest corner.
-        rng: What they are drawn by.
+        rng: Draws them.
 
     Returns:
         n points of k numbers each.

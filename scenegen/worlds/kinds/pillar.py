@@ -49,8 +49,8 @@ class Pillar(WorldKind):
     oblong_ratio: float = number(3.0, least=1, most=1000)
     """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
-    """Share of pillars set beside an earlier one, a passage's width away; a few then stand
-    outside `size_m`."""
+    """Share of pillars set beside an earlier one, a passage's width away; a few then stand outside
+    `size_m`."""
     passage_m: Range = (0.7, 1.2)
     """Width of those passages between the pillars' round hulls, metres; between flat sides they are
     wider. Source: from a little more than the robot's 0.6 m to twice that: the paper's "narrow
@@ -59,7 +59,12 @@ class Pillar(WorldKind):
     """Heights of pillars, metres, from the ground up."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw all pillars at once, then move those of the passages beside earlier ones."""
+        """Draw all pillars at once, then move those of the passages beside earlier ones.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
@@ -74,18 +79,20 @@ class Pillar(WorldKind):
         height = rng.uniform(*self.height_m, count)
         plan = rng.uniform((0.0, 0.0), (x_m, y_m), (count, 2))
         yaw = rng.uniform(0.0, np.pi, count)
+        # radius of the circle around the section, which no turn makes larger
         hull = np.where(round_, half, np.sqrt(half * half + length * length))
-        beside = [
+        # the first has no earlier one
+        moved = [
             n for n in np.flatnonzero(rng.random(count) < self.passage_share).tolist() if n > 0
         ]
         drawn = [
             (rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*self.passage_m))
-            for n in beside
+            for n in moved
         ]
         sine, cosine = sin_cos([angle for _, angle, _ in drawn])
-        for n, (neighbour, _, gap), *aside in zip(beside, drawn, cosine, sine, strict=True):
+        for n, (neighbour, _, gap), *direction in zip(moved, drawn, cosine, sine, strict=True):
             plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(
-                aside
+                direction
             )  # which stays where it is
         quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
         shapes = np.where(round_, CYLINDER, BOX)

@@ -19,8 +19,8 @@ PIECES = ("table", "chair", "shelf", "cupboard", "sofa")
 @dataclass(frozen=True, kw_only=True)
 class Rooms(Classed):
     """A floor plan by recursive division: rooms on both sides of a corridor, every room reached by
-    a door. Measures are those that building codes and furniture makers use (doors .9 m wide and
-    2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
+    a door. Measures are those that building codes and furniture makers use (doors .9 m wide and 2.0
+    m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
 
     version = 2
     graded = {
@@ -78,16 +78,24 @@ class Rooms(Classed):
     """Share of rooms with columns."""
 
     def most_solids(self) -> float:
-        """Walls, doors and columns of as many rooms as there may be, and furniture of 12 solids."""
+        """Count walls, doors and columns of the greatest number of rooms, and 12 solids a piece of
+        furniture."""
         area = self.size_m[0] * self.size_m[1]
         return area / self.room_m[0] ** 2 * 40 + self.furniture_density[1] * area * 12
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Divide the plan, raise walls with openings, and furnish the rooms."""
+        """Divide the plan, raise walls with openings, and furnish the rooms.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts, (x_m, y_m, _) = self.begun("floor"), self.size_m
         height, half = rng.uniform(*self.height_m), rng.uniform(*self.wall_half_thickness_m)
+        # a narrow world keeps room on both sides
         wide = min(rng.uniform(*self.corridor_m), y_m / 3)
         low = rng.uniform(0.35, 0.65) * y_m - wide / 2
+        # the corridor is the first room, and crosses the plan
         rooms = [(0.0, low, x_m, low + wide)]
         for side in ((0.0, 0.0, x_m, low), (0.0, low + wide, x_m, y_m)):
             rooms += _divided(side, self.room_m, rng=rng)
@@ -96,6 +104,7 @@ class Rooms(Classed):
         for n, room in enumerate(rooms):
             if rng.random() < self.ceiling_share:
                 parts.box("ceiling", (*room[:2], height), (*room[2:], height + 0.2))
+            # the corridor stays empty
             if n > 0:
                 _furnish(parts, room, doors[n], density, rng=rng)
                 self._fit_out(parts, room, height, rng=rng)
@@ -110,12 +119,14 @@ class Rooms(Classed):
         *,
         rng: Generator,
     ) -> list[list[tuple[float, float]]]:
-        """Walls between rooms, with doors, and around all, with windows; the doors' places, by
-        room. Walls are `height` high and twice `half` thick, metres."""
+        """Add walls between rooms, with doors, and around all, with windows.
+
+        Walls are `height` high and twice `half` thick, metres. Returns the doors' places, by room.
+        """
         shared, joins = _shared_edges(rooms), dict[int, int]()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
         for n in rng.permutation(len(shared)).tolist():
-            (axis, at, low, high), beside = shared[n]
+            (axis, coordinate, low, high), pair = shared[n]
             width, top = rng.uniform(*self.door_width_m), min(self.door_height_m, height)
             place, loop, wider = rng.random(3).tolist()
             length = high - low
@@ -123,25 +134,27 @@ class Rooms(Classed):
                 width, top = 2 * width, height
             door = None
             # rooms that a door joins already have a second way only by chance
-            if length > width + 4 * half and (join(joins, *beside) or loop < self.loop_share):
+            if length > width + 4 * half and (join(joins, *pair) or loop < self.loop_share):
+                # a wall's thickness remains at either end
                 begin = low + 2 * half + place * (length - width - 4 * half)
                 door = ((begin, begin + width), (0.0, top))
-                middle = (at, begin + width / 2)
-                for room in beside:
+                middle = (coordinate, begin + width / 2)
+                for room in pair:
                     doors[room].append(middle if axis == 0 else middle[::-1])
             # so much longer that walls meet in the corners
             span = ((low - half, high + half), (0.0, height))
-            parts.wall("wall", axis, at, half, span, door)
-        for axis, at, low, high in _rim_edges(rooms, self.size_m):
+            parts.wall("wall", axis, coordinate, half, span, door)
+        for axis, coordinate, low, high in _rim_edges(rooms, self.size_m):
             sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
             begin = (low + high - width) / 2
+            # a lintel of 0.1 m or more remains
             window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
             opening = window if rng.random() < self.window_share else None
-            parts.wall("wall", axis, at, half, ((low, high), (0.0, height)), opening)
+            parts.wall("wall", axis, coordinate, half, ((low, high), (0.0, height)), opening)
         return doors
 
     def _fit_out(self, parts: Parts, room: Rectangle, height: float, *, rng: Generator) -> None:
-        """Stairs and columns."""
+        """Add stairs and columns."""
         x0, y0, x1, y1 = room
         rising, columns = rng.random(2).tolist()
         if rising < self.stairs_share and x1 - x0 > 5 and y1 - y0 > 3:
@@ -153,26 +166,27 @@ class Rooms(Classed):
 
 
 def _divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> list[Rectangle]:
-    """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
-    divided, none becomes shorter."""
+    """Divide a rectangle until no edge is longer than `edges_m` allows, and none shorter."""
     x0, y0, x1, y1 = room
     longer, (shortest, longest) = max(x1 - x0, y1 - y0), edges_m
+    # the limit is random: rooms of all allowed sizes occur
     if longer < 2 * shortest or longer <= rng.uniform(max(2 * shortest, shortest + 1), longest):
         return [room]
-    at = rng.uniform(shortest, longer - shortest)
+    cut = rng.uniform(shortest, longer - shortest)
+    # across the longer edge, so that rooms do not become corridors
     if x1 - x0 >= y1 - y0:
-        halves = ((x0, y0, x0 + at, y1), (x0 + at, y0, x1, y1))
+        halves = ((x0, y0, x0 + cut, y1), (x0 + cut, y0, x1, y1))
     else:
-        halves = ((x0, y0, x1, y0 + at), (x0, y0 + at, x1, y1))
+        halves = ((x0, y0, x1, y0 + cut), (x0, y0 + cut, x1, y1))
     return [part for half in halves for part in _divided(half, edges_m, rng=rng)]
 
 
 class _Edge(NamedTuple):
-    """Where a rectangle touches another, or the rim of the plan."""
+    """A contact of a rectangle with another, or with the rim of the plan."""
 
     axis: int
     """The one across the edge."""
-    at: float
+    coordinate: float
     """Where the edge is on that axis, metres."""
     low: float
     """Where it begins on the other axis, metres."""
@@ -181,20 +195,21 @@ class _Edge(NamedTuple):
 
 
 def _shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[_Edge, tuple[int, int]]]:
-    """Where rectangles touch, and the numbers of the two."""
+    """Find where rectangles touch, and the numbers of the two."""
     edges = []
-    for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
+    for (a, room_a), (b, room_b) in itertools.combinations(enumerate(rooms), 2):
         for axis in (0, 1):
             along = 1 - axis
-            low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
-            for first, second in ((one, other), (other, one)):
+            low, high = max(room_a[along], room_b[along]), min(room_a[along + 2], room_b[along + 2])
+            # either may lie before the other on this axis
+            for first, second in ((room_a, room_b), (room_b, room_a)):
                 if first[axis + 2] == second[axis] and high - low > 1e-9:
                     edges.append((_Edge(axis, second[axis], low, high), (a, b)))
     return edges
 
 
 def _rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[_Edge]:
-    """Where rectangles touch the rim of a plan of `size_m` from the origin."""
+    """Find where rectangles touch the rim of a plan of `size_m` from the origin."""
     for room in rooms:
         for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
             if room[side] in (0.0, size_m[axis]):
@@ -202,7 +217,7 @@ def _rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[
 
 
 def _furniture(parts: Parts, kind: str, *, rng: Generator) -> None:
-    """A piece of furniture around the origin of a frame."""
+    """Add a piece of furniture around the origin of a frame."""
     a, b, c = rng.random(3).tolist()
     if kind == "table":
         x, y, z = 0.6 + 0.4 * a, 0.35 + 0.2 * b, 0.72 + 0.06 * c
@@ -241,19 +256,22 @@ def _furnish(
     *,
     rng: Generator,
 ) -> None:
-    """Furniture in a room, so many pieces a square metre, and none before its doors."""
+    """Furnish a room with pieces per square metre, none in front of its doors."""
     x0, y0, x1, y1 = room
     pieces = round(density * (x1 - x0) * (y1 - y0) + rng.uniform(-0.5, 0.5))
+    # off the walls by about half a piece
     inside = ((x0 + 0.9, y0 + 0.9), (max(x1 - 0.9, x0 + 0.9), max(y1 - 0.9, y0 + 0.9)))
     for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
         kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
+        # 1.3 m from a door's middle; a piece in its way is left out
         if all((px - x) ** 2 + (py - y) ** 2 > 1.7 for x, y in doors):
             _furniture(parts.at(px, py, 0.0, turn * (np.pi / 2)), PIECES[kind], rng=rng)
 
 
 def _stairs(parts: Parts, low: Point, length: float, height: float) -> None:
-    """Steps along x that rise from `low` until `length` or `height` ends them, metres."""
+    """Add steps along x that rise from `low` until `length` or `height` ends them, metres."""
     x, y, z = low
     for n in range(min(int(height / 0.17), int(length / 0.28))):
+        # slabs of up to 0.37 m, so that stairs are open below
         step = (x + 0.28 * n, y, z + max(0.17 * n - 0.2, 0.0))
         parts.box("stairs", step, (step[0] + 0.3, y + 1.1, z + 0.17 * (n + 1)))

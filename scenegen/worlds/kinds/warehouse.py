@@ -63,7 +63,7 @@ class Warehouse(Classed):
     """Share of halls with trusses under the roof."""
 
     def most_solids(self) -> float:
-        """Racks of single pallets, and goods."""
+        """Count racks of single pallets, and goods."""
         x_m, y_m, _ = self.size_m
         bays = x_m / (self.aisle_m[0] + 2.2) * (y_m / BAY_M + 1)
         floor = self.goods_density[1] * x_m * y_m
@@ -72,7 +72,12 @@ class Warehouse(Classed):
         return bays * (6 + 8 * (self.levels[1] + 1)) + 4 * floor + trusses + conveyors + 10
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw the hall, then row after row."""
+        """Draw the hall, then row after row.
+
+        Args:
+            spec: The world to add to.
+            rng: Decides everything that is random.
+        """
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         for x in (-0.2, x_m):
             parts.box("wall", (x, 0, 0), (x + 0.2, y_m, z_m))
@@ -83,8 +88,11 @@ class Warehouse(Classed):
         tall, fill = rng.uniform(*self.level_m), rng.uniform(*self.fill_share)
         goods, gap = rng.uniform(*self.goods_density), rng.uniform(0.3, 0.7) * y_m
         x = rng.uniform(1.0, aisle)
+        # a double rack is 2.2 m deep
         while x + 2.3 < x_m:
+            # both drawn for every row, so that shares do not change other draws
             empty, belt = rng.random(2).tolist()
+            # before and behind the cross aisle
             row = ((0.8, gap - cross / 2), (gap + cross / 2, y_m - 0.8))
             if empty >= self.empty_share:
                 for low, high in row:
@@ -93,6 +101,7 @@ class Warehouse(Classed):
             elif belt < self.conveyor_share:
                 _conveyor(parts.at(x + 0.6, 1.0), y_m - 2.0, rng=rng)
             else:
+                # the floor of a row without a rack
                 area = 2.2 * (y_m - 2.0)
                 drawn = rng.uniform((x, 1.0), (x + 2.2, y_m - 1.0), (round(goods * area), 2))
                 for a, b in drawn.tolist():
@@ -100,6 +109,7 @@ class Warehouse(Classed):
             x += 2.2 + aisle
         if rng.random() < self.truss_share:
             for y in np.arange(2.5, y_m, 5.0).tolist():
+                # a truss is 1.16 m high, and hangs below the roof
                 _truss(parts.at(0.0, y, z_m - 1.2), x_m)
         parts.add_to(spec)
 
@@ -113,7 +123,8 @@ class Warehouse(Classed):
         *,
         rng: Generator,
     ) -> None:
-        """A double rack along y: frames, beams, and pallets on them."""
+        """Add a double rack along y: frames, beams, and pallets on them."""
+        # frames end above the last beam
         high = levels * tall + 0.3
         for bay in range(bays + 1):
             for x in (0.0, 1.0, 2.1):
@@ -123,18 +134,19 @@ class Warehouse(Classed):
             if level > 0:
                 for x in (0.0, 1.0, 2.1):
                     parts.box("shelf", (x, 0, z - 0.12), (x + 0.08, BAY_M * bays, z))
-            # three places a bay and side, of which neighbours that are taken share a load
-            taken = rng.random((2, bays)) < fill
+            # one load for the three places of a bay on each side
+            loaded = rng.random((2, bays)) < fill
+            # height and length of a load: below the next beam, within the bay
             sizes = rng.uniform((0.5, 1.2), (tall - 0.35, 2.55), (2, bays, 2)).tolist()
             for side in range(2):
-                for bay in np.flatnonzero(taken[side]).tolist():
+                for bay in np.flatnonzero(loaded[side]).tolist():
                     top, long = sizes[side][bay]
                     low = (0.05 + 1.1 * side, BAY_M * bay + 0.13, z)
                     parts.box("goods", low, (low[0] + 1.0, low[1] + long - 0.1, z + top))
 
 
 def _pallet(parts: Parts, *, rng: Generator) -> None:
-    """A pallet with a load, around the origin of a frame."""
+    """Add a pallet with a load, around the origin of a frame."""
     x, y, z = (PALLET_M[0] / 2, PALLET_M[1] / 2, PALLET_M[2])
     parts.box("goods", (-x, -y, 0), (x, y, z))
     a, b, c = rng.random(3).tolist()
@@ -142,7 +154,7 @@ def _pallet(parts: Parts, *, rng: Generator) -> None:
 
 
 def _conveyor(parts: Parts, long: float, *, rng: Generator) -> None:
-    """A belt along y on legs, with goods on it."""
+    """Add a belt along y on legs, with goods on it."""
     high = rng.uniform(0.7, 2.6)
     parts.box("machine", (-0.4, 0, high - 0.15), (0.4, long, high))
     for y in np.arange(0.5, long, 2.5).tolist():
@@ -153,7 +165,7 @@ def _conveyor(parts: Parts, long: float, *, rng: Generator) -> None:
 
 
 def _truss(parts: Parts, long: float) -> None:
-    """Two chords along x with posts and diagonals between them."""
+    """Add two chords along x with posts and diagonals between them."""
     for z in (0.0, 1.0):
         parts.box("beam", (0, -0.08, z), (long, 0.08, z + 0.16))
     for x in np.arange(0.0, long - 2.4, 2.5).tolist():
