@@ -1,7 +1,6 @@
 """Files: read only if regular and small enough, written completely or not at all."""
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -10,16 +9,22 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from scenegen.base.errors import AbsentError, DatasetError, DiskError
+from scenegen.base.errors import DatasetError, DiskError
 from scenegen.base.executors import LOCATED, undone
 from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.reading import open_bounded as open_bounded
+from scenegen.base.reading import pread as pread
+from scenegen.base.reading import read_bounded as read_bounded
+from scenegen.base.reading import sha256_in as sha256_in
+from scenegen.base.reading import sha256_of as sha256_of
+from scenegen.base.reading import size_of as size_of
+from scenegen.base.reading import world_digest as world_digest
 
 PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
 """Folders inside a dataset that hold a thousand shards each."""
@@ -33,98 +38,6 @@ Json = dict[str, Any]
 DRAFT = re.compile(r"\.scenegen-(\w{12})-(\w{12})-(\d{1,10})-(\d{1,20})-\w{16}\.tmp", re.ASCII)
 """Names of temporary files: digest of the target's name, machine, process id, start time of the
 process, and a secret."""
-
-
-def open_bounded(path: Path, max_bytes: int) -> BufferedReader:
-    """Open a regular file for reading. Pipes and devices are refused: reading them might never end.
-
-    Args:
-        path: The file.
-        max_bytes: Largest allowed size.
-
-    Raises:
-        AbsentError: if there is no file.
-        DatasetError: if it is not regular, too large, or cannot be opened.
-    """
-    try:
-        # O_NONBLOCK: opening a pipe must not wait for a writer
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    except (FileNotFoundError, NotADirectoryError):
-        raise AbsentError(f"{path}: no such file") from None
-    except OSError as error:
-        raise DatasetError(
-            f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
-        ) from None
-    # checked on the open handle, as the path may be exchanged meanwhile
-    status = os.fstat(handle)
-    regular = stat.S_ISREG(status.st_mode)
-    if regular and status.st_size <= max_bytes:
-        return open(handle, "rb")
-    os.close(handle)
-    too_large = f"{status.st_size} bytes, expected {max_bytes} at most; give a smaller file"
-    raise DatasetError(f"{path}: {too_large if regular else 'is not a regular file; give a file'}")
-
-
-def pread(file: BufferedReader, size: int, begin: int) -> bytes:
-    """Read from an open file without moving its position, as `os.pread`.
-
-    Args:
-        file: The open file.
-        size: Number of bytes.
-        begin: Offset of the first.
-    """
-    return os.pread(file.fileno(), size, begin)
-
-
-def size_of(file: BufferedReader) -> int:
-    """Size of an open file, bytes."""
-    return os.fstat(file.fileno()).st_size
-
-
-def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """Read a regular file that is no larger than `max_bytes`, even if it grows meanwhile.
-
-    Args:
-        path: The file.
-        max_bytes: Largest allowed size.
-
-    Raises:
-        AbsentError: if there is no file.
-        DatasetError: if it is not regular, too large, or cannot be read.
-    """
-    with open_bounded(path, max_bytes) as file:
-        content = file.read(max_bytes + 1)
-    if len(content) > max_bytes:
-        raise DatasetError(f"{path}: more than {max_bytes} bytes; give a smaller file")
-    return content
-
-
-def sha256_of(content: bytes) -> str:
-    """SHA-256 in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def sha256_in(file: Any) -> str:
-    """SHA-256 of an open file's whole content, in hexadecimal."""
-    file.seek(0)
-    return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
-    """SHA-256 of a world.
-
-    Args:
-        document: The MJCF document.
-        files: Files that it refers to, by name.
-
-    Returns:
-        32 bytes.
-    """
-    digest = hashlib.sha256(document)
-    # sorted: the digest must not depend on the order in which files were read
-    for name, content in sorted(files.items()):
-        digest.update(name.encode() + hashlib.sha256(content).digest())
-    return digest.digest()
 
 
 def real_path(path: Any) -> Path:

@@ -2,10 +2,8 @@
 whole method."""
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -16,11 +14,14 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
-from scenegen import SPLITS
 from scenegen.base.errors import GenerationError, RecipeError, raised_as
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
+from scenegen.draw.unit import Rejections as Rejections
+from scenegen.draw.unit import Unit as Unit
+from scenegen.draw.unit import UnitKey as UnitKey
+from scenegen.draw.unit import none_rejected as none_rejected
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Route, fly, viewpoints
 from scenegen.worlds.place import Place
@@ -43,49 +44,6 @@ ADVICE = {
     "known.least_share, or raise known.most_marked_share",
 }
 """Advice when all draws of a world are rejected, by the reason."""
-
-
-class UnitKey(NamedTuple):
-    """Key of a unit's random numbers."""
-
-    seed: int
-    """Seed of the dataset."""
-    split: str
-    """ "train", "val" or "test"."""
-    unit: int
-    """Number of the unit in its split."""
-
-    def rng(self, stream: int, attempt: int, *part: int) -> Generator:
-        """Random numbers of one purpose.
-
-        Args:
-            stream: `WORLD`, `FLIGHT` or `NOISE`.
-            attempt: Number of the draw.
-            part: Further parts of the key, such as the number of a view.
-        """
-        key = SPLITS.index(self.split), self.unit, attempt, stream, *part
-        # a stream for each purpose: more noise, for example, must not change the worlds
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
-
-
-Rejections = Mapping[str, Counter[str]]
-"""Number of rejected draws by reason, of `worlds` and of `viewpoints`."""
-
-
-def none_rejected() -> Rejections:
-    """Empty counts of rejected draws."""
-    return {"worlds": Counter(), "viewpoints": Counter()}
-
-
-@dataclass(frozen=True, eq=False)
-class Unit:
-    """One flight: its world and samples."""
-
-    number: int
-    """Number of the world in its split."""
-    world: AnyWorld
-    samples: tuple[Sample, ...]
-    rejected: Rejections
 
 
 def draw_unit(
@@ -233,12 +191,10 @@ def _look(world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe) -> tuple[
 
 
 def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> Truth:
-    """Compute the true content of a map, and which of it is known.
+    """Compute the true content of the map of a clean scan.
 
-    Args:
-        world: The world.
-        scan: Clean scan from the map's viewpoint.
-        recipe: Settings of samples.
+    Returns:
+        `occupancy`; in maps of real places also `known` and `ray_known`.
     """
     truth = world.truth(recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose))
     if recipe.known is not None:
@@ -277,14 +233,9 @@ def samples_of(
     names: tuple[int, int],
     derived: bool,
 ) -> tuple[Sample, ...]:
-    """Make the samples of a unit from its views.
+    """Make the samples of a unit from its views, with the recipe's noise and optional parts.
 
     Args:
-        views: Clean scans and truth of each viewpoint.
-        recipe: Gives the noise, the mapping, and the optional parts of samples.
-        world: The world.
-        engine: Casts rays in it.
-        key: Key of the random numbers of noise.
         names: Number of the world, and number of the first sample's viewpoint.
         derived: Whether samples have `tudf`; otherwise it is an empty array.
 
@@ -373,12 +324,7 @@ def scan_world(
 
 
 def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:
-    """Cast clean scans.
-
-    Args:
-        poses: Poses of the body that carries the sensor, in the world.
-        engine: Casts the rays.
-        lidar: The sensor.
+    """Cast clean scans from poses of the body that carries the sensor.
 
     Raises:
         GenerationError: if the engine fails.
@@ -398,14 +344,10 @@ def with_noise(
     """Add noise to the scans of a view.
 
     The random numbers depend on the view, not on the accepted draw, so that scanning the same poses
-    again gives the same noise.
+    again gives the same noise. Without stages, the scans are returned unchanged.
 
     Args:
         scans: Clean scans: the view's own, then earlier ones, latest first.
-        noise: The chain of noise. Without stages, the scans are returned unchanged.
-        world: The world.
-        engine: Casts rays in it.
-        key: Key of the random numbers.
         view: Number of the view in its unit.
 
     Returns:
@@ -441,13 +383,6 @@ def observed(
     scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Caster, rng: Generator
 ) -> Returns:
     """Apply noise to a clean scan; see `Noise.observe`.
-
-    Args:
-        scan: The clean scan.
-        noise: The chain of noise.
-        albedo: Reflectance of each geom, or None.
-        engine: Casts further rays that stages need.
-        rng: Random numbers of the noise.
 
     Raises:
         GenerationError: if a stage cannot be applied.

@@ -1,7 +1,6 @@
 """One sample: its record, which is also the schema on disk."""
 
 import hashlib
-import html
 import operator
 import sys
 from abc import abstractmethod
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
 from scenegen.base.errors import DatasetError, lacking, short
+from scenegen.draw.html import html_table as html_table
 
 if TYPE_CHECKING:
     from scenegen.draw.tensors import TensorSamples
@@ -25,13 +25,9 @@ def _stored(
 ) -> Any:
     """Declare a field of the record.
 
-    Args:
-        dtype: Type on disk.
-        axes: Names of axes: `grid`, `rays`, `earlier` (scans), or a length; "" for a scalar.
-        meaning: What it means. Readers, dataset cards and this code share the text.
-        unit: Its unit; "" for counts, flags and ratios.
-        derived: Whether it can be computed from the other fields.
-        group: Group of fields that only some datasets have; "" for fields of all datasets.
+    `axes` names `grid`, `rays`, `earlier` (scans) or a length; "" means a scalar. Readers, dataset
+    cards and this code share `meaning`. `derived` fields can be computed from others. Fields of a
+    `group` exist only in some datasets.
     """
     metadata: dict[str, Any] = {"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning}
     metadata |= {"derived": derived, "group": group}
@@ -142,10 +138,7 @@ class Sample:
         """Make a sample whose fields are read on first access.
 
         Args:
-            names: Names of its fields.
-            find: Called as find(sample, name), once for each field.
-            lidar: The sensor.
-            grid: The map's grid.
+            find: Called as find(sample, name), once for each of the fields `names`.
         """
         # Registers a clear error for torch's default collate. Torch is not imported for this: a
         # DataLoader has imported it before it reads a sample.
@@ -205,10 +198,8 @@ class Sample:
         return np.concatenate([first, *(latest.pose.to_body(scan.points()) for scan in earlier)])
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
-        """All scans of the sample: its own, then earlier ones, latest first.
-
-        Args:
-            lidar: The sensor; by default the sample's own.
+        """All scans of the sample: its own, then earlier ones, latest first. By default with its
+        own sensor.
 
         Raises:
             TypeError: if the sensor is not known.
@@ -260,18 +251,6 @@ class Sample:
             # chained: samples without optional groups keep the digest of the format without these
             digest = group_hash.digest()
         return digest
-
-
-def html_table(rows: Iterable[Sequence[object]], title: object) -> str:
-    """Make an HTML table for notebooks. All text is escaped.
-
-    Args:
-        rows: Cells of each row.
-        title: Text above the table.
-    """
-    lines = ("".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<p>{html.escape(str(title))}</p><table>{body}</table>"
 
 
 FIELDS = {item.name: item.metadata for item in fields(Sample) if "dtype" in item.metadata}
@@ -394,14 +373,11 @@ class Samples(Sequence[Sample]):
 
     def torch(self, fields: Sequence[str] | None = None) -> "TensorSamples":
         """Make a map-style PyTorch dataset whose items are dictionaries of tensors:
-        `DataLoader(samples.torch(), batch_size=8)` batches them.
+        `DataLoader(samples.torch(), batch_size=8)` batches them. Shapes and types are those of
+        `describe`, except that classes are int32.
 
         Args:
             fields: Names of the fields; all by default. Other fields are neither read nor derived.
-
-        Returns:
-            A `torch.utils.data.Dataset`. Shapes and types are those of `describe`, except that
-                classes are int32.
 
         Raises:
             DatasetError: if a field does not exist, its shape differs between samples, or torch is
