@@ -1,6 +1,5 @@
-"""What can be wrong with what a user gave. Every message is one line: what, where, what was
-expected, how to fix it.
-"""
+"""Errors that a user can act on. Each message is one line: the thing, the value, what was expected,
+and the fix."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,7 +10,7 @@ from lidarsim.parameters import shown
 from lidarsim.registry import own_line
 
 short = shown
-"""A stranger's value for an error's line."""
+"""Shorten a value from a user's file for the line of an error."""
 EXTRAS = {
     "gymnasium": "fly",
     "matplotlib": "view",
@@ -23,25 +22,25 @@ EXTRAS = {
     "safetensors": "train",
     "torch": "train",
 }
-"""Packages that are needed beyond the core, and the extra that brings each."""
+"""Optional packages, and the extra of scenegen that installs each."""
 MOST_REPEATED = 1000
-"""Characters that an error's line repeats of another's, which may hold a stranger's text."""
+"""Maximum length of another error's text that is repeated in ours, characters: it may quote a
+user's file."""
 
 
 class ScenegenError(Exception):
-    """Base of every error that a user can act on; the command line prints it without a
-    traceback."""
+    """Base of all errors that a user can act on. The command line prints them without traceback."""
 
     code = 1
-    """The exit code of a command that ends with it."""
+    """Exit code of a command that ends with this error."""
 
 
 class RecipeError(ScenegenError):
-    """A recipe names an unknown parameter, or one that no world can have."""
+    """A recipe has an unknown parameter, or a value that no world can have."""
 
 
 class AskedError(RecipeError):
-    """What was asked for does not go together."""
+    """Options contradict each other."""
 
 
 class SceneError(ScenegenError):
@@ -53,109 +52,145 @@ class GenerationError(ScenegenError):
 
 
 class DatasetError(ScenegenError):
-    """A folder does not hold the dataset that it should, or cannot take it."""
+    """A folder holds no dataset, another dataset than expected, or cannot be written."""
 
 
 class AbsentError(DatasetError, FileNotFoundError):
-    """There is no file where one is to be read."""
+    """A file that should be read does not exist."""
 
 
 class DiskError(DatasetError):
-    """The disk refuses, whatever is written next."""
+    """The disk refuses a write: it is full, or permission is denied."""
 
 
 class BrokenError(DatasetError):
-    """A file of a dataset is not as the format says, and cannot be looked at any further; the
-    message is the fault."""
+    """A file of a dataset violates the format so that it cannot be examined further. The message is
+    the fault."""
 
 
 class NewerError(BrokenError):
-    """A file names something that this scenegen does not know: a newer one may have written it."""
+    """A file uses a name that this version does not know: a newer scenegen may have written it."""
 
 
 class StoreError(ScenegenError):
-    """A store refuses, is full, or does not answer; nothing follows from it about what it holds."""
+    """A store refuses, is full, or does not answer. The content of the store is unknown then."""
 
 
 class PublishError(ScenegenError):
-    """A dataset cannot be published as asked, or not to that place."""
+    """A dataset cannot be published with these options, or not to this destination."""
 
 
 class GuardError(ScenegenError):
-    """A process that looked at a stranger's file crashed, took too long, or took too much
-    memory."""
+    """A process that read an untrusted file crashed, timed out, or exceeded its memory."""
 
 
 class StoppedError(ScenegenError):
-    """The run was stopped from outside; what is finished stays."""
+    """The run was stopped by a signal. Finished work stays on disk."""
 
 
 class UndecidedError(ScenegenError):
-    """Nothing is wrong with a dataset, and whether it is what its recipe and seed give cannot be
-    told here."""
+    """No fault was seen, but this machine cannot decide whether the dataset follows from its recipe
+    and seed."""
 
     code = 3
 
 
 class OwnCodeError(ScenegenError):
-    """A user's own kind, sensor, engine, method or command fails; the message names the line."""
+    """A user's own kind, sensor, engine, method or command fails. The message names the line of
+    their code."""
 
 
-def plural(count: int, what: str) -> str:
-    """A number of things, whose plural ends in s: "1 world", "2 worlds"."""
-    return f"{count} {what.removesuffix('s') if count == 1 else what}"
+def plural(count: int, nouns: str) -> str:
+    """Write a count with its noun: "1 world", "2 worlds".
+
+    Args:
+        count: How many.
+        nouns: The noun in the plural, which ends in s.
+    """
+    return f"{count} {nouns.removesuffix('s') if count == 1 else nouns}"
 
 
 def told(error: Exception) -> Exception:
-    """`error`, or an OwnCodeError in its place where it came through code of the user's own."""
+    """Return `error`, or an `OwnCodeError` instead if it was raised in a user's own module."""
     line = "" if isinstance(error, ScenegenError) else own_line(error)
     return OwnCodeError(f"{line}: {type(error).__name__}: {printable(error)}") if line else error
 
 
 @contextmanager
 def raised_as(
-    kind: Callable[[str], Exception],
+    make_error: Callable[[str], Exception],
     begin: str = "",
     end: str = "",
     *,
     of: type[Exception] | tuple[type[Exception], ...] = ValueError,
 ) -> Iterator[None]:
-    """What the block raises as an error `of` some sorts comes out as one of another `kind`, its
-    line between `begin` and `end`."""
+    """Raise errors of the block as an error of another kind.
+
+    Args:
+        make_error: Class of the new error, or a function that makes it from a message.
+        begin: Text before the original message.
+        end: Text after it.
+        of: Classes of errors that are caught. Others pass unchanged.
+
+    Raises:
+        Exception: what `make_error` returns.
+    """
     try:
         yield
     except of as error:
-        raise kind(f"{begin}{printable(error)[:MOST_REPEATED]}{end}") from None
+        # "from None": the command line prints one line, and the cause would repeat it
+        raise make_error(f"{begin}{printable(error)[:MOST_REPEATED]}{end}") from None
 
 
-def whole_number(what: str, value: Any, least: int, most: int) -> int:
-    """`value` as a number of Python's. Raises DatasetError for one that is not whole or out of
-    bounds, of `what` is given."""
-    number = isinstance(value, Integral) and not isinstance(value, bool)
-    if not number or not least <= value <= most:
-        raise DatasetError(f"{what} {short(value)}: expected a whole number from {least} to {most}")
+def whole_number(label: str, value: Any, minimum: int, maximum: int) -> int:
+    """Convert a whole number of any type, such as numpy's, to an int.
+
+    Args:
+        label: What the number is, for the message.
+        value: The value to check.
+        minimum: Smallest allowed value.
+        maximum: Largest allowed value.
+
+    Raises:
+        DatasetError: if `value` is a bool, no whole number, or out of bounds.
+    """
+    # bool is a subclass of int, and `--n true` is a mistake
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or not minimum <= value <= maximum:
+        raise DatasetError(
+            f"{label} {short(value)}: expected a whole number from {minimum} to {maximum}"
+        )
     return int(value)
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error of Python's, or of torch's, means that memory ran out."""
+    """Whether an error means that memory ran out. Python, torch and the system each say it in
+    another way."""
     known = ("not enough memory", "can't allocate memory", "out of memory")
     return isinstance(error, MemoryError) or any(text in str(error) for text in known)
 
 
 def escaped(text: object) -> str:
-    """`text` with every character that is not printable, line ends included, as its escape."""
+    """Replace every unprintable character, line ends included, by its escape."""
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in str(text))
 
 
 def needs(packages: str, extra: str) -> str:
-    """What to say where `packages` of our optional dependencies `extra` are not installed, and how
-    to get them: of the file that scenegen was installed from, or in its checkout."""
+    """Say that packages are missing, and how to install them.
+
+    Args:
+        packages: The packages, for the message.
+        extra: The extra of scenegen that installs them.
+
+    Returns:
+        A clause such as "needs torch; in scenegen's checkout: pip install -e '.[train]'".
+    """
     import json
     from importlib.metadata import PackageNotFoundError, distribution
     from urllib.parse import unquote, urlsplit
 
     with suppress(PackageNotFoundError):
+        # an installed wheel records its own file, from which the extra can be installed offline
         origin = json.loads(distribution("scenegen-lidar").read_text("direct_url.json") or "{}")
         if "archive_info" in origin:
             path = unquote(urlsplit(origin["url"]).path)
@@ -164,13 +199,13 @@ def needs(packages: str, extra: str) -> str:
 
 
 def lacking(error: ModuleNotFoundError) -> str:
-    """What to say of a package that is missing, if one of `EXTRAS` brings it; "" else."""
+    """Explain a missing package: `needs` if one of `EXTRAS` installs it, otherwise ""."""
     package = str(error.name).partition(".")[0]
     return needs(package, EXTRAS[package]) if package in EXTRAS else ""
 
 
 def empty_split(split: str) -> str:
-    """What to say of a dataset whose `split` holds no samples, and how to get some."""
+    """Say that a split has no samples, and how to get some."""
     option = "--n" if split == "train" else f"--{split}"
     return (
         f"its {split} split is empty; generate with {option} (scenes are split by world: give "
@@ -179,10 +214,10 @@ def empty_split(split: str) -> str:
 
 
 def printable(text: object) -> str:
-    """`text` as one line that a terminal shows as it is: line ends become spaces, control
-    characters become escapes.
+    """Write a value as one line: whitespace becomes single spaces, control characters become
+    escapes.
 
-    Names, keys and messages may come from a stranger's file; raw, they could print lines of their
-    own.
+    Names, keys and messages may come from an untrusted file. Printed raw, they could add lines or
+    terminal codes.
     """
     return escaped(" ".join(str(text).split()))

@@ -1,8 +1,7 @@
-"""Executors: where tasks run, and the software that runs them. `workers` has the processes of this
-machine, `ray` has clusters.
+"""Executors: where tasks run. `workers` runs them on this machine, `ray` on a cluster.
 
-What one task gives depends on the task alone, so what a command makes of them has the same bits
-wherever they run.
+The result of a task depends on the task alone. A command therefore writes the same bits on every
+executor.
 """
 
 import hashlib
@@ -22,32 +21,40 @@ from lidarsim.registry import Registry
 from scenegen.base.errors import ScenegenError, raised_as
 
 Function = Callable[[Any], Any]
-"""What is applied to each task."""
+"""Applied to each task."""
 Begun = Callable[[], None]
-"""What is called once the work has begun."""
+"""Called once when all workers have started."""
 Results = Generator[Any, None, None]
-"""Results as they come."""
+"""Results in the order in which tasks finish."""
 Counted = Callable[[int], None]
-"""What is told how many samples there are, or that so many more are done."""
+"""Called with the total number of samples, or with the number of newly finished ones."""
 
 
 LOCATED: dict[Path, tuple[Any, ...]] = {}
-"""Folders of this machine that were found by a name with a scheme: for each, a function that finds
-it on another machine, and its arguments, the name first."""
+"""Local copies of remote datasets, by folder: the function that finds the dataset on another
+machine, and its arguments, the dataset's name first."""
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 def chunked(items: Sequence[Any], size: int) -> list[Any]:
-    """`items` in their order, cut into parts of `size`; the last may be shorter."""
+    """Cut a sequence into parts.
+
+    Args:
+        items: The sequence.
+        size: Length of a part; the last may be shorter.
+
+    Returns:
+        The parts, in order.
+    """
     return [items[first : first + size] for first in range(0, len(items), size)]
 
 
 def unheard(samples: int) -> None:
-    """Where nobody wants to be told."""
+    """Ignore progress."""
 
 
 def counted(
@@ -60,17 +67,21 @@ def counted(
     on_done: Counted = unheard,
     size: Callable[[Any], int] = len,
 ) -> Iterator[Any]:
-    """Yield the results of `tasks` as they come, and report progress.
+    """Run tasks, report progress, and yield the results as they come.
 
     Args:
-        execute: Where the tasks run.
-        function: What is applied to each task.
+        execute: The executor.
+        function: Applied to each task.
         tasks: The tasks.
-        total: The number of samples in all tasks.
-        on_start: Called with `total` once the work has begun.
+        total: Number of samples in all tasks.
+        on_start: Called with `total` when the workers have started.
         on_done: Called with the number of samples of each result.
-        size: Gives the number of samples of a result.
+        size: Number of samples of a result.
+
+    Yields:
+        The results, in the order in which tasks finish.
     """
+    # closing ends the workers when the caller stops early
     with closing(execute(function, tasks, lambda: on_start(total))) as results:
         for result in results:
             on_done(size(result))
@@ -78,30 +89,31 @@ def counted(
 
 
 class Executor(Protocol):
-    """A place where tasks run, made of an `address`, "" for none, and of the number of `workers`
-    asked for."""
+    """A place where tasks run, made from an address ("" for none) and a number of workers."""
 
     def __init__(self, address: str, workers: int) -> None: ...
 
     def mine(self, tasks: Sequence[Any]) -> Sequence[Any]:
-        """Those of all `tasks` of a run, done or not, that are for this process to see to: all,
-        unless it says so."""
+        """Tasks of a run, finished or not, that this process is responsible for: all by default."""
         return tasks
 
     def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
-        """Have `function` applied to `tasks`, and yield the results as they come, in any order.
+        """Apply `function` to `tasks`, and yield the results in any order.
 
-        Closing the generator ends what it began, and only that.
+        Closing the generator ends only the workers that it started.
 
         Args:
-            function: Can be pickled, as the tasks can. Files that they name are reached from
-                everywhere, but for copies of a store's: `scenegen.base.ray` sends its name
-                instead, and has nodes that have another scenegen refuse.
-            tasks: What it is applied to.
-            on_start: Called once the work has begun.
+            function: Applied to each task. It is pickled, as the tasks are. Files that tasks name
+                must be readable on every machine; `scenegen.base.ray` replaces local copies of a
+                store by the store's name.
+            tasks: The tasks.
+            on_start: Called once when the workers have started.
+
+        Yields:
+            The results.
 
         Raises:
-            GenerationError: A task is lost for good. Whatever `function` raises is raised, too.
+            GenerationError: if a task cannot be finished. Errors of `function` pass through.
         """
         ...
 
@@ -120,26 +132,39 @@ EXECUTORS = Registry(
 )
 """Executors by name."""
 LOCAL = "local"
-"""The one that serves where none is named."""
+"""Name of the default executor."""
 
 
 def executor(place: str, workers: int) -> Executor:
-    """The executor called `place`, a name with an address or without: ``ray://10.0.0.1:10001``.
+    """Make an executor by its name.
 
-    Raises ScenegenError for a name that leads to none, and what making it raises.
+    Args:
+        place: A name, with or without an address, such as ``ray://10.0.0.1:10001``.
+        workers: Number of worker processes.
+
+    Raises:
+        ScenegenError: if there is no such executor, or it cannot be made.
     """
     name, _, address = place.partition("://")
     with raised_as(ScenegenError, "--on: "):
         return EXECUTORS.find(name)(address, workers)
 
 
-def check_together(execute: Executor, what: str) -> None:
-    """Raise ScenegenError, with `what` it is that takes all results, where an executor leaves tasks
-    to other processes."""
+def check_together(execute: Executor, command: str) -> None:
+    """Check that this process receives the results of all tasks.
+
+    Args:
+        execute: The executor.
+        command: Subject and verb of the message, such as "bench needs".
+
+    Raises:
+        ScenegenError: if the executor leaves tasks to other processes.
+    """
+    # the second of two tasks would be another process's
     if len(execute.mine((0, 1))) < 2:
         raise ScenegenError(
-            f"--on: {what} all results, and jobs that know their rank alone bring none together; "
-            "give --on ray, or each job work of its own with --on local"
+            f"--on: {command} all results, and jobs that know their rank alone bring none "
+            "together; give --on ray, or each job work of its own with --on local"
         )
 
 
@@ -148,8 +173,12 @@ _begun: list[Callable[[], object]] = []
 
 @contextmanager
 def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
-    """While the block runs, `undo_all` calls `undo`, which must be quick and wait for nobody, and
-    may return a line to say of the stop."""
+    """Register `undo` for `undo_all` while the block runs.
+
+    Args:
+        undo: Called if the process is stopped. It must be quick, take no lock, and may return a
+            line for the message.
+    """
     _begun.append(undo)
     try:
         yield
@@ -159,7 +188,11 @@ def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def undone(undo: Callable[[], object]) -> Iterator[None]:
-    """Call `undo` when the block ends, in whatever way, also as `undone_if_stopped`."""
+    """Call `undo` when the block ends, by an error or a stop as well.
+
+    Args:
+        undo: As for `undone_if_stopped`.
+    """
     with undone_if_stopped(undo):
         try:
             yield
@@ -168,28 +201,33 @@ def undone(undo: Callable[[], object]) -> Iterator[None]:
 
 
 def undo_all() -> str:
-    """Undo what is begun and not finished, the latest first, for a process that ends at once:
-    drafts are removed, workers ended. Returns what is to be said of it; "" for nothing."""
+    """Undo unfinished work, latest first, before the process exits: remove temporary files, end
+    workers.
+
+    Returns:
+        A line about the stop for the user, or "".
+    """
     line = ""
     for undo in reversed(_begun):
-        with suppress(Exception):  # what cannot be undone must not keep the rest
-            said = undo()
-            line = said if isinstance(said, str) else line
+        # one failing undo must not prevent the others
+        with suppress(Exception):
+            result = undo()
+            line = result if isinstance(result, str) else line
     return line
 
 
 PACKAGES = ("mujoco", "ompl", "numpy", "numba", "trimesh")
-"""What the numbers depend on besides scenegen itself."""
+"""Packages whose version may change the bits of a dataset."""
 
 
 def software() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
-    found = {"scenegen": scenegen.__version__, "machine": platform.machine()}
-    return found | {package: installed(package) for package in PACKAGES}
+    """Versions of scenegen, the machine's architecture, and `PACKAGES`."""
+    versions = {"scenegen": scenegen.__version__, "machine": platform.machine()}
+    return versions | {package: installed(package) for package in PACKAGES}
 
 
 def processor() -> str:
-    """What this machine's processor is called."""
+    """Name of this machine's processor."""
     with suppress(OSError):  # elsewhere than on Linux
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
@@ -199,11 +237,9 @@ def processor() -> str:
 
 @cache
 def installed(package: str) -> str:
-    """The installed version of a package, or ``absent``."""
-    from importlib.metadata import (
-        PackageNotFoundError,
-        version,
-    )  # which takes longer than reading a manifest
+    """Version of an installed package, or ``absent``."""
+    # importing this takes longer than reading a manifest
+    from importlib.metadata import PackageNotFoundError, version
 
     try:
         return version(package)
@@ -213,8 +249,8 @@ def installed(package: str) -> str:
 
 @cache
 def identity() -> dict[str, Any]:
-    """What two machines must have in common whose tasks become one result: `software`, the
-    generator, and a digest of every Python file of both packages. Worked out once a process."""
+    """What machines must share to work on one result: `software`, the generator's version, and a
+    digest of all Python files of both packages."""
     digest = hashlib.sha256()
     for path in sources(*(Path(str(package.__file__)).parent for package in (lidarsim, scenegen))):
         digest.update(path.read_bytes())
@@ -222,19 +258,20 @@ def identity() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in
-    another project's."""
-    here = Path(__file__).resolve().parents[2]
-    if _git("rev-parse", "--show-toplevel") != str(here):
+    """Commit of this checkout, with "+" if it has changes; ``unknown`` if scenegen is not in a
+    checkout of its own."""
+    root = Path(__file__).resolve().parents[2]
+    # scenegen may be vendored into somebody else's repository
+    if _git("rev-parse", "--show-toplevel") != str(root):
         return "unknown"
     return _git("describe", "--always", "--dirty=+", "--abbrev=12") or "unknown"
 
 
 def _git(*words: str) -> str:
     try:
-        here = Path(__file__).resolve().parent
+        folder = Path(__file__).resolve().parent
         return subprocess.run(
-            ["git", *words], cwd=here, capture_output=True, text=True, check=False
+            ["git", *words], cwd=folder, capture_output=True, text=True, check=False
         ).stdout.strip()
     except OSError:  # git is not installed
         return ""

@@ -1,9 +1,6 @@
-"""Files: read only where they are regular and no larger than expected, written whole or not at
-all.
-"""
+"""Files: read only if regular and small enough, written completely or not at all."""
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -12,129 +9,88 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from scenegen.base.errors import AbsentError, DatasetError, DiskError
+from scenegen.base.errors import DatasetError, DiskError
 from scenegen.base.executors import LOCATED, undone
 from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.reading import open_bounded as open_bounded
+from scenegen.base.reading import pread as pread
+from scenegen.base.reading import read_bounded as read_bounded
+from scenegen.base.reading import sha256_in as sha256_in
+from scenegen.base.reading import sha256_of as sha256_of
+from scenegen.base.reading import size_of as size_of
+from scenegen.base.reading import world_digest as world_digest
 
 PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
-"""Names of the folders in a dataset's, of which each holds a thousand shards."""
+"""Folders inside a dataset that hold a thousand shards each."""
 STALE_S = 24 * 3600.0
-"""Age after which a draft of another machine counts as left behind, seconds."""
+"""Age after which another machine's temporary file counts as abandoned, seconds."""
 MARK = "user.scenegen"
-"""The attribute of every file written whole, which holds when that was: see `check_ours`."""
+"""Extended attribute of every file that scenegen writes: its modification time. See `check_ours`.
+"""
 Json = dict[str, Any]
-"""What a file of JSON holds: values of Python's own types, by name."""
+"""A JSON object as Python values."""
 DRAFT = re.compile(r"\.scenegen-(\w{12})-(\w{12})-(\d{1,10})-(\d{1,20})-\w{16}\.tmp", re.ASCII)
-"""What drafts are called: for which name, on which machine and by which process, when that began,
-and a secret."""
-
-
-def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
-    """`path` opened for reading, if it is a regular file of at most `most_bytes` bytes: no pipe or
-    device, whose reading might never end.
-
-    Raises DatasetError for anything else, and AbsentError where there is nothing.
-    """
-    try:
-        handle = os.open(
-            path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
-        )  # opening a pipe does not wait for its writer
-    except (FileNotFoundError, NotADirectoryError):
-        raise AbsentError(f"{path}: no such file") from None
-    except OSError as error:
-        raise DatasetError(
-            f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
-        ) from None
-    status = os.fstat(handle)
-    regular = stat.S_ISREG(status.st_mode)
-    if regular and status.st_size <= most_bytes:
-        return open(handle, "rb")
-    os.close(handle)
-    large = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
-    raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
-
-
-def pread(file: BufferedReader, size: int, begin: int) -> bytes:
-    """Bytes of an open file, as `os.pread`."""
-    return os.pread(file.fileno(), size, begin)
-
-
-def size_of(file: BufferedReader) -> int:
-    """The bytes of an open file."""
-    return os.fstat(file.fileno()).st_size
-
-
-def read_bounded(path: Path, most_bytes: int) -> bytes:
-    """The content of a regular file of at most `most_bytes` bytes. Raises as `open_bounded`, and
-    where the file grows meanwhile."""
-    with open_bounded(path, most_bytes) as file:
-        size = size_of(file)
-        content = file.read(size + 1)  # room for its size alone: `most_bytes` may be any number
-    if len(content) > size:
-        raise DatasetError(f"{path}: grows while it is read; wait until it is written")
-    return content
-
-
-def sha256_of(content: bytes) -> str:
-    """The SHA-256 of some bytes, in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def sha256_in(file: Any) -> str:
-    """The SHA-256 of what an open file holds, in hexadecimal."""
-    file.seek(0)
-    return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
-    """SHA-256 of a world's document and of the files that it refers to."""
-    digest = hashlib.sha256(document)
-    for name, content in sorted(files.items()):
-        digest.update(name.encode() + hashlib.sha256(content).digest())
-    return digest.digest()
+"""Names of temporary files: digest of the target's name, machine, process id, start time of the
+process, and a secret."""
 
 
 def real_path(path: Any) -> Path:
-    """`path` without links, to be compared; for a store, or a folder that was found by a name with
-    a scheme, that name.
-    Links that lead in a circle stay: `Path.resolve` would raise RuntimeError, where who opens the
-    path finds that nothing is there."""
+    """Resolve links, to compare paths. A store, or a local copy of one, gives the store's name."""
     if not isinstance(path, Path):
         return Path(str(path))
+    # `Path.resolve` raises RuntimeError for a circle of links. `os.path.realpath` keeps it, and
+    # opening the path then reports that it does not exist.
     return Path(LOCATED[path][1]) if path in LOCATED else Path(os.path.realpath(path))
 
 
 def check_target(path: Path) -> None:
-    """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link
-    is ever replaced."""
+    """Check that a file may be written at `path`. Devices, pipes, folders and links are never
+    replaced.
+
+    Args:
+        path: The target.
+
+    Raises:
+        DatasetError: if `path` exists and is not a regular file.
+    """
     with disk_told(path), suppress(FileNotFoundError):
         mode = path.lstat().st_mode
         if stat.S_ISREG(mode):
             return
-        what = "a symbolic link" if stat.S_ISLNK(mode) else "not a regular file"
-        raise DatasetError(f"{path}: is {what}, and only files are replaced; give another name")
+        kind = "a symbolic link" if stat.S_ISLNK(mode) else "not a regular file"
+        raise DatasetError(f"{path}: is {kind}, and only files are replaced; give another name")
 
 
 def writable(folder: Path) -> Path:
-    """`folder`, or the nearest above it that is there. Raises DiskError where nothing may be
-    written into that."""
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if not os.access(there, os.W_OK):
+    """Find the nearest existing folder at or above `folder`.
+
+    Raises:
+        DiskError: if that folder cannot be written.
+    """
+    existing = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not os.access(existing, os.W_OK):
         raise DiskError(f"{folder}: no permission to write there: choose another place")
-    return there
+    return existing
 
 
 def check_ours(path: Path) -> None:
-    """Raise DatasetError unless `path` is free, or a file as this program wrote it: nobody else's
-    is replaced, and none that somebody changed since. Where the file system keeps no attributes,
-    nothing counts as written by it. Nor may its folder be one that cannot be written."""
+    """Check that `path` is free, or a file that scenegen wrote and nobody changed since.
+
+    On a file system without extended attributes, no existing file counts as ours.
+
+    Args:
+        path: The target.
+
+    Raises:
+        DatasetError: if another file stands there.
+        DiskError: if its folder cannot be written.
+    """
     check_target(path)
     writable(path.parent)
     if path.exists() and not _is_marked(path):
@@ -146,32 +102,51 @@ def check_ours(path: Path) -> None:
 
 def _is_marked(path: Path) -> bool:
     try:
+        # any edit of the file changes its time, so that it no longer counts as ours
         return int(os.getxattr(path, MARK)) == path.stat().st_mtime_ns
     except (OSError, ValueError):
         return False
 
 
 def make_parent(path: Path) -> None:
-    """Make the folder that `path` is to stand in. Raises DatasetError where that cannot be."""
+    """Make the folder of `path`. Raises DiskError if the disk refuses."""
     with disk_told(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def make_way(path: Path) -> None:
-    """`make_parent`, and delete the drafts of `path` there that were left behind."""
+    """Make the folder of `path`, and delete abandoned temporary files of it."""
     make_parent(path)
     remove_drafts(path.parent, path.name)
 
 
 def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
-    """Put `content` at `path`: complete and on disk, or not at all; without `sync`, when the system
-    sees fit. Raises as `whole`."""
+    """Write a file atomically.
+
+    Args:
+        path: The target.
+        content: The bytes.
+        sync: Whether to return only when the content is on disk.
+
+    Raises:
+        DatasetError: if `path` is neither free nor a regular file.
+        DiskError: if the disk refuses.
+    """
     with _draft(path, sync) as file:
         file.write(content)
 
 
 def write_result(path: Path, content: bytes) -> None:
-    """Put at `path` what a user gave that name for. Raises as `check_ours` and `whole`."""
+    """Write a file that a user named.
+
+    Args:
+        path: The target.
+        content: The bytes.
+
+    Raises:
+        DatasetError: if a file stands there that scenegen did not write.
+        DiskError: if the disk refuses.
+    """
     check_ours(path)
     make_way(path)
     write_whole(path, content)
@@ -179,37 +154,58 @@ def write_result(path: Path, content: bytes) -> None:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file to write to, empty and there: when the block ends, it stands at `path`, complete and
-    on disk; if it fails, nowhere.
+    """Give an empty file to write to. It replaces `path` when the block ends, and is deleted if the
+    block fails.
 
-    Raises DatasetError where the disk refuses, or where `path` is neither free nor a regular file.
+    Args:
+        path: The target.
+
+    Yields:
+        The temporary file.
+
+    Raises:
+        DatasetError: if `path` is neither free nor a regular file.
+        DiskError: if the disk refuses.
     """
     with _draft(path) as file:
         yield Path(file.name)
 
 
 def check_free(path: Path) -> None:
-    """Raise DatasetError where there is something at `path`."""
+    """Check that nothing exists at `path`, not even a broken link.
+
+    Raises:
+        DatasetError: if something does.
+    """
     if path.exists() or path.is_symlink():
         raise DatasetError(f"{path}: is there already; give another name, or remove it")
 
 
 @contextmanager
 def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iterator[Path]:
-    """A folder to write to: when the block ends, it stands at `path`, on disk, in place of what was
-    there; if it fails, all is as it was. Before it begins and in the end, `check` raises an error
-    where something stands there that must not be replaced.
+    """Give a folder to write to. It replaces `path` when the block ends; if the block fails,
+    nothing changes.
 
-    Raises DatasetError where the disk refuses.
+    Args:
+        path: The target.
+        check: Called before and after the block with `path`. It raises an error if `path` must not
+            be replaced.
+
+    Yields:
+        The temporary folder.
+
+    Raises:
+        DiskError: if the disk refuses. Errors of `check` pass through.
     """
     check(path)
     make_way(path)
-    draft, former = draft_of(path), draft_of(path)
+    draft, previous = draft_of(path), draft_of(path)
 
     def clear() -> None:
-        if former.exists() and not path.exists():
-            former.rename(path)
-        for stale in (draft, former):
+        # stopped between the two renames below: put the previous folder back
+        if previous.exists() and not path.exists():
+            previous.rename(path)
+        for stale in (draft, previous):
             shutil.rmtree(stale, ignore_errors=True)
 
     with disk_told(path), undone(clear):
@@ -218,38 +214,48 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
         sync_folder(draft)
         check(path)
         if path.exists():
-            path.rename(former)
+            path.rename(previous)
         draft.rename(path)
         sync_folder(path.parent)
 
 
-def claim(folder: Path, name: str, about: Json) -> Collection[str]:
-    """The names of what is in `folder`, made where it is not: nothing, or what a run began that is
-    `about` the same, as its file `name` says from now on. Raises DatasetError where it is anything
-    else."""
-    content = json.dumps(about, indent=1).encode()
+def claim(folder: Path, name: str, settings: Json) -> Collection[str]:
+    """Reserve a folder for a run, or continue a run with the same settings.
+
+    Args:
+        folder: The folder. It is made if it does not exist.
+        name: File in the folder that records the settings.
+        settings: The settings of the run.
+
+    Returns:
+        Names of the files that are in the folder.
+
+    Raises:
+        DatasetError: if the folder holds other files, or a run with other settings.
+    """
+    content = json.dumps(settings, indent=1).encode()
     with disk_told(folder):
         folder.mkdir(parents=True, exist_ok=True)
         remove_drafts(folder)
         # listed first: what another process begins meanwhile, it begins with that file
-        there = names_in(folder)
+        names = names_in(folder)
     state = folder / name
     if begun := state.exists():
-        wrong = read_bounded(state, MOST_MANIFEST_BYTES) != content
+        occupied = read_bounded(state, MOST_MANIFEST_BYTES) != content
     else:
-        wrong = any(not one.endswith(".tmp") for one in there)
-    if wrong:
+        occupied = any(not item.endswith(".tmp") for item in names)
+    if occupied:
         raise DatasetError(
             f"{folder}: holds other files, or what another command began; choose another folder"
         )
     if not begun:
         write_whole(state, content)
-    return there
+    return names
 
 
 @contextmanager
 def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
-    """What `whole` gives, opened for writing under its name."""
+    """Open a temporary file beside `path`, which replaces it when the block ends; see `whole`."""
     check_target(path)
     draft = draft_of(path)
     # a file of its own: where somebody else's has this name, it stays
@@ -260,12 +266,13 @@ def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
     ):
         yield file
         file.flush()
-        there = os.fstat(file.fileno())
+        status = os.fstat(file.fileno())
         with suppress(OSError):
-            os.setxattr(file.fileno(), MARK, str(there.st_mtime_ns).encode())
+            os.setxattr(file.fileno(), MARK, str(status.st_mtime_ns).encode())
         if sync:
             os.fsync(file.fileno())
-        if not os.path.samestat(draft.lstat(), there):
+        # in a shared folder, another user may have put a file of theirs under the draft's name
+        if not os.path.samestat(draft.lstat(), status):
             raise DatasetError(f"{path}: was exchanged while it was written")
         check_target(path)
         draft.replace(path)
@@ -274,7 +281,7 @@ def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Put a folder's entries on disk."""
+    """Put a folder's entries on disk. Without it, a rename may be lost in a power cut."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -284,8 +291,14 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def disk_told(path: object) -> Iterator[None]:
-    """An operating system's refusal in the block comes out as a DiskError about `path`, with
-    what a user can do about it."""
+    """Raise the operating system's errors in the block as DiskErrors with advice.
+
+    Args:
+        path: The file or folder, for the message.
+
+    Raises:
+        DiskError: in place of an OSError.
+    """
     try:
         yield
     except OSError as error:
@@ -299,15 +312,16 @@ def disk_told(path: object) -> Iterator[None]:
 
 
 def draft_of(path: Path) -> Path:
-    """A new name beside `path` that nobody can guess. It says for which name and by which process
-    it is, so that `remove_drafts` finds what this program left behind, and nothing else."""
+    """Make an unguessable temporary name beside `path`. It records the target and this process, so
+    that `remove_drafts` can recognise abandoned ones."""
     pid, secret = os.getpid(), secrets.token_hex(8)
-    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_own_start(pid)}-{secret}"
-    return path.with_name(f".scenegen-{said}.tmp")
+    owner = f"{_digest(path.name)}-{_machine()}-{pid}-{_own_start(pid)}-{secret}"
+    return path.with_name(f".scenegen-{owner}.tmp")
 
 
 def names_in(folder: Path) -> set[str]:
-    """Names of what lies in a dataset's folder, and of what lies in its folders of shards."""
+    """List the files of a dataset's folder. Those in subfolders of shards are listed as
+    "subfolder/name"."""
     names = {item.name for item in os.scandir(folder)}
     for part in filter(PART.fullmatch, list(names)):
         with suppress(NotADirectoryError):
@@ -317,17 +331,23 @@ def names_in(folder: Path) -> set[str]:
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:
-    """Delete drafts in `folder`, and in folders of shards in it, that this user's scenegen made, of
-    `target` alone if that is given, and whose writer is gone: an ended process of this machine, or
-    one of another machine that wrote nothing for `STALE_S`."""
-    like = ".scenegen-*.tmp"
-    for draft in (*folder.glob(like), *folder.glob(f"*-*x/{like}")):
-        said = DRAFT.fullmatch(draft.name)
-        if not said or (target and said[1] != _digest(target)):
+    """Delete this user's abandoned temporary files in `folder` and in its subfolders of shards.
+
+    A file is abandoned if its process on this machine has ended, or if it was written on another
+    machine and not changed for `STALE_S`.
+
+    Args:
+        folder: The folder.
+        target: Delete only those that were to become this name.
+    """
+    pattern = ".scenegen-*.tmp"
+    for draft in (*folder.glob(pattern), *folder.glob(f"*-*x/{pattern}")):
+        match = DRAFT.fullmatch(draft.name)
+        if not match or (target and match[1] != _digest(target)):
             continue
         with suppress(OSError):  # another process may be removing it
             status = draft.lstat()
-            if status.st_uid != os.geteuid() or not _is_gone(said, status.st_mtime):
+            if status.st_uid != os.geteuid() or not _is_gone(match, status.st_mtime):
                 continue
             if stat.S_ISDIR(status.st_mode):
                 shutil.rmtree(draft, ignore_errors=True)
@@ -335,33 +355,34 @@ def remove_drafts(folder: Path, target: str | None = None) -> None:
                 draft.unlink()
 
 
-def _is_gone(said: re.Match[str], modified_s: float) -> bool:
-    """Whether the process that a draft's name tells of has ended."""
-    _, machine, pid, start = said.groups()
+def _is_gone(match: re.Match[str], modified_s: float) -> bool:
+    """Whether the process that made a temporary file has ended."""
+    _, machine, pid, start = match.groups()
     if machine == _machine():
         return _start_of(int(pid)) != int(start)
     return time.time() - modified_s > STALE_S
 
 
 def _start_of(pid: int) -> int:
-    """When a process began, in clock ticks since the machine did: numbers of processes are used
-    again. 0 for one that is not there."""
+    """Start time of a process, in clock ticks since boot; 0 if it does not run."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return 0
+    # zombies have ended, too; field 22 of `proc(5)` is the start time, which tells a process from a
+    # later one with the same id
     return 0 if fields[0] in "ZX" else int(fields[19])
 
 
-@cache  # each look takes as long as making a small file
+@cache
 def _own_start(pid: int) -> int:
-    """That of this process, which stays."""
+    """Start time of this process. Cached, as reading it takes as long as writing a small file."""
     return _start_of(pid)
 
 
 @cache
 def _machine() -> str:
-    """This machine, or container: where a process's number means that process."""
+    """Digest of this machine or container: the scope in which a process id is unique."""
     return _digest(f"{socket.gethostname()} {Path('/proc/self/ns/pid').readlink()}")
 
 

@@ -1,9 +1,8 @@
-"""Mirrors: folders of this machine in which the files of a store's dataset come to lie.
+"""Mirrors: local folders that hold files of a store's dataset.
 
-A mirror is of one store and one manifest, and beside it lies a note of both. A file is fetched when
-it is first opened, as a whole, and checked against the manifest's SHA-256; from then on it is a
-file like any other. Like the kernels', a mirror serves only if nobody but this user may write to
-it.
+A mirror belongs to one store and one manifest; a note beside it records both. A file is fetched
+completely when it is first opened, and checked against the manifest's SHA-256. Afterwards it is an
+ordinary file. A mirror is used only if nobody but this user may write to it.
 """
 
 import fcntl
@@ -23,28 +22,39 @@ from scenegen.base.files import disk_told, whole, write_whole
 from scenegen.base.stores import Store
 
 AT_A_TIME = 8
-"""Files that are fetched at the same time."""
+"""Number of concurrent downloads."""
 ROOM = "SCENEGEN_CACHE_GB"
-"""The environment variable for the gigabytes that mirrors may take. By default they take at most
-half of what the disk has for them."""
+"""Environment variable for the gigabytes that all mirrors may take. By default: half of the disk
+space that is free or already used by mirrors."""
 
 
 class Mirror(NamedTuple):
-    """The store that a mirror is of."""
+    """The origin of a mirror."""
 
     url: str
     files: Mapping[str, str]
-    """The names of the manifest's files, with their SHA-256."""
+    """SHA-256 of every file that the manifest lists, by name."""
 
 
 def mirror_root() -> Path:
-    """Where mirrors lie, each in a folder of a folder."""
+    """Folder of all mirrors. Each is two levels below, by the digests of its store and manifest."""
     return cache_root() / "scenegen" / "places"
 
 
 def make_mirror(store: Store, name: str, manifest: bytes) -> Path:
-    """Make the mirror for a manifest of this name and content, which is put into it; its folder.
-    Raises StoreError, also if others may write to the folder."""
+    """Make a mirror, and write the manifest into it.
+
+    Args:
+        store: The store.
+        name: Name of the manifest.
+        manifest: Its content.
+
+    Returns:
+        The mirror's folder.
+
+    Raises:
+        StoreError: if other users may write to the folder.
+    """
     digests = (hashlib.sha256(text).hexdigest()[:16] for text in (store.url.encode(), manifest))
     folder = mirror_root().joinpath(*digests)
     _check_private(folder)
@@ -54,17 +64,23 @@ def make_mirror(store: Store, name: str, manifest: bytes) -> Path:
 
 
 def note_files(folder: Path, store: Store, files: Mapping[str, str]) -> None:
-    """Write down which files, names with their SHA-256, can be fetched into a mirror: any process
-    of this machine then finds it."""
+    """Record which files a mirror can fetch. Every process of this machine reads the note.
+
+    Args:
+        folder: The mirror.
+        store: Its store.
+        files: SHA-256 of each file, by name.
+    """
     content = json.dumps(Mirror(store.url, files)._asdict()).encode()
+    # written only when it changes, as many processes open the same mirror
     if not (note := _note_of(folder)).is_file() or note.read_bytes() != content:
         write_whole(note, content)
     _read_note.cache_clear()
 
 
 def mirror_of(folder: Path) -> Mirror | None:
-    """What a folder is a mirror of; None for any other folder, whatever lies beside it: a
-    stranger's decides nothing about the network."""
+    """The origin of a mirror; None for a folder that is not below `mirror_root`."""
+    # a note beside any other folder is ignored: an untrusted file must not cause network requests
     if folder.absolute().parent.parent != mirror_root():
         return None
     try:
@@ -74,11 +90,14 @@ def mirror_of(folder: Path) -> Mirror | None:
 
 
 def fetch(path: Path) -> None:
-    """Fetch a file into its mirror, unless it is there; any other path is left alone.
+    """Fetch a file of a mirror unless it is there. Other paths are ignored.
+
+    Args:
+        path: The file.
 
     Raises:
-        StoreError: The store does not give it, or other bytes than the manifest lists.
-        BrokenError: The store has no such file.
+        StoreError: if the store fails, or its file does not match the manifest.
+        BrokenError: if the store has no such file.
     """
     try:
         store_digest, digest, *names = path.absolute().relative_to(mirror_root()).parts
@@ -92,7 +111,7 @@ def fetch(path: Path) -> None:
             if not path.is_file():  # another process may have fetched it
                 _download(mirror, name, path)
     with suppress(OSError):
-        os.utime(path)  # files used longest ago make room first
+        os.utime(path)  # `_make_room` deletes the least recently used files first
 
 
 def _download(mirror: Mirror, name: str, path: Path) -> None:
@@ -114,12 +133,21 @@ def _download(mirror: Mirror, name: str, path: Path) -> None:
 
 
 def fetch_all(folder: Path, names: Collection[str]) -> None:
-    """Fetch all of these into a mirror. Raises as `fetch`, and StoreError if there is no room for
-    all of them."""
+    """Fetch several files of a mirror.
+
+    Args:
+        folder: The mirror.
+        names: Names of the files.
+
+    Raises:
+        StoreError: as `fetch`, or if they do not fit into the mirror together.
+        BrokenError: as `fetch`.
+    """
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         list(pool.map(fetch, [folder / name for name in names]))
+    # a later download may have evicted an earlier one
     if lost := [name for name in names if not (folder / name).exists()]:
         raise StoreError(
             f"{folder / lost[0]}: made room for others, though all are needed; raise {ROOM}"
@@ -127,8 +155,12 @@ def fetch_all(folder: Path, names: Collection[str]) -> None:
 
 
 def bytes_in(folder: Path) -> int:
-    """The bytes of a dataset's files; of a mirror, those of all files that it is of, fetched or
-    not. Raises StoreError."""
+    """Total size of a dataset's files, bytes. Of a mirror, files that are not fetched yet count as
+    well.
+
+    Raises:
+        StoreError: if the store of a mirror cannot be listed.
+    """
     paths = (path for path in (*folder.glob("*"), *folder.glob("*-*x/*")) if path.is_file())
     sizes = {str(path.relative_to(folder)): path.stat().st_size for path in paths}
     if (mirror := mirror_of(folder)) is not None:
@@ -148,7 +180,7 @@ def _read_note(folder: Path) -> Mirror:
 
 
 def _check_private(folder: Path) -> None:
-    """Make a folder for mirrors. Raises StoreError if others may write to it."""
+    """Make a folder for mirrors. Raises StoreError if other users may write to it."""
     if trouble := folder_trouble(folder):
         raise StoreError(
             f"{trouble}: copies of datasets go there; see to it, or name another folder by "
@@ -158,8 +190,11 @@ def _check_private(folder: Path) -> None:
 
 @contextmanager
 def _lock(path: Path) -> Iterator[None]:
-    """Have no other process fetch `path`. It saves requests, and nothing depends on it: a file
-    system without locks, or a lock removed while another process waits, costs a second copy."""
+    """Keep other processes from fetching the same file.
+
+    The lock only saves requests. On a file system without locks, or if a lock is removed while
+    another process waits, the file is fetched twice.
+    """
     lock = Path(f"{path}.lock")
     with disk_told(path):
         path.parent.mkdir(exist_ok=True)
@@ -174,11 +209,12 @@ def _lock(path: Path) -> Iterator[None]:
 
 
 def _make_room(newest: Path) -> None:
-    """Delete the shards used longest ago until all mirrors take no more than they may."""
+    """Delete the least recently used shards until all mirrors fit into `_max_bytes`."""
     files = []
     for pattern in ("*/*/*", "*/*/*-*x/*"):
         for path in mirror_root().glob(pattern):
             with suppress(OSError):
+                # manifests and tables of rays are small, and every opening needs them
                 if path.suffix in (".h5", ".zip") and path != newest:
                     status = path.stat()
                     files.append((status.st_mtime_ns, status.st_size, path))
@@ -192,7 +228,8 @@ def _make_room(newest: Path) -> None:
 
 
 def _max_bytes(total: int) -> int:
-    """What mirrors may take, where they take `total`. Raises StoreError."""
+    """Space that mirrors may take, bytes; `total` is what they take now. Raises StoreError for a
+    malformed `ROOM`."""
     if text := os.environ.get(ROOM):
         with suppress(ValueError, OverflowError):
             if (max_bytes := int(float(text) * 1e9)) > 0:

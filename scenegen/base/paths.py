@@ -1,11 +1,11 @@
-"""Recognise what a path is (a dataset, a log, a scan, a map, a world, predictions, a run …), and
-open it.
+"""Recognise the type of a path (a dataset, a log, a scan, a map, a world, predictions, a run …),
+and open it.
 
     what_is("campus.bt")  # "map"
     open_path("campus.bt")  # the map, as a world
 
-Names, files in a folder and first bytes tell. Functions that open things stand in rooms above this
-one; they are named here as ``module:function``, and imported when they are asked for.
+Types are recognised by names, by files in a folder, and by first bytes. The functions that open
+them belong to rooms above this one; they are named as ``module:function`` and imported on use.
 """
 
 import difflib
@@ -22,54 +22,60 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.limits import MOST_MANIFEST_BYTES
 
 MAPS = (".bt", ".ot", ".npz")
-"""Endings of maps of real places; an .npz file may be a scan, too."""
+"""Endings of maps of real places. An .npz file may also be a scan."""
 MESHES = (".obj", ".glb", ".stl")
-"""Endings of meshes, which are worlds of their own."""
+"""Endings of meshes, each of which is a world."""
 SCANS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".npy", ".npz", ".bin")
-"""Endings of point clouds; `scenegen.worlds.clouds.READERS` reads them."""
+"""Endings of point clouds, for the readers in `scenegen.worlds.clouds.READERS`."""
 CLOUDS = (*SCANS[:-2], ".yaml")
-"""Endings of clouds, and of ROS's plans, from which maps are made where a world is expected; an
-.npz file is taken for a map there."""
+"""Endings of point clouds and ROS floor plans that are converted to maps where a world is expected.
+An .npz file counts as a map there."""
 WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)
-"""Endings of all files that are worlds."""
+"""Endings of all files that can be worlds."""
 RECORDINGS = (".mcap", ".bag", ".db3")
-"""Endings of recordings of ROS."""
+"""Endings of ROS recordings."""
 MAX_LISTED = 10_000
-"""Files of a folder among which scans are looked for."""
+"""Maximum number of files that are examined in search of scans in a folder."""
 MAX_HEAD_BYTES = 256
+"""Length of the part of a file that types are recognised by, bytes."""
 
 Test = Callable[[Path], bool]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathType:
-    """One type of thing that a path may be."""
+    """One type of path."""
 
     form: str
-    """How it is recognised, for people: "a folder with dataset.json"."""
+    """How it is recognised, for messages: "a folder with dataset.json"."""
     test: Test
     opens: str
     """``module:function`` that opens a path of this type."""
     facts: str = ""
-    """``module:function`` that gives what `scenegen inspect` says of it, as JSON values."""
+    """``module:function`` that returns the facts for `scenegen inspect`, as JSON values."""
     draws: str = ""
-    """``module:function`` that draws it, as a matplotlib figure."""
+    """``module:function`` that draws it as a matplotlib figure."""
     shows: str = ""
-    """``module:function`` that gives some of its samples, as `scenegen.view.look.Look`."""
+    """``module:function`` that returns some of its samples as `scenegen.view.look.Look`."""
 
 
 def ends(*endings: str) -> Test:
-    """A test for files by the ends of their names."""
+    """Make a test for files by the endings of their names."""
     return lambda path: path.name.lower().endswith(endings) and not path.is_dir()
 
 
 def holds(*patterns: str) -> Test:
-    """A test for folders that hold a file of one of these names or patterns."""
+    """Make a test for folders by names or patterns of files in them."""
     return lambda path: any(any(path.glob(pattern)) for pattern in patterns)
 
 
 def begins(ending: str, pattern: str) -> Test:
-    """A test for files by the end of their names and their first bytes."""
+    """Make a test for files by their ending and their first bytes.
+
+    Args:
+        ending: The ending, such as ".json".
+        pattern: Regular expression that the first `MAX_HEAD_BYTES` must match.
+    """
 
     def test(path: Path) -> bool:
         if not (path.suffix == ending and path.is_file()):  # a pipe would never end
@@ -93,8 +99,8 @@ def names(ending: str, word: str) -> Test:
 
 
 def is_map(path: Path) -> bool:
-    """Whether a file is a map of a real place: by its name, and an .npz file, which may be a scan,
-    by what it holds."""
+    """Whether a file is a map of a real place. An .npz file may also be a scan, so its members
+    decide."""
     if path.suffix != ".npz":
         return ends(*MAPS)(path)
     if not path.is_file():
@@ -107,8 +113,8 @@ def is_map(path: Path) -> bool:
 
 
 def is_log(path: Path) -> bool:
-    """Whether there is a log with poses of its own at `path`: a recording, or a folder of one, or
-    of clouds with poses."""
+    """Whether a path is a log with poses: a recording, a folder of one, or a folder of clouds with
+    poses."""
     if not path.is_dir():
         return ends(*RECORDINGS)(path)
     has_poses = holds("metadata.yaml", "poses.txt")(path) or kitti_poses(path).exists()
@@ -116,18 +122,18 @@ def is_log(path: Path) -> bool:
 
 
 def kitti_poses(sequence: Path) -> Path:
-    """Where KITTI's own archives have the poses of a sequence."""
+    """Path of the poses of a sequence in KITTI's folder structure."""
     return sequence.parent.parent / "poses" / f"{sequence.name}.txt"
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """The recordings in a folder that holds no clouds."""
+    """Recordings in a folder; none if it holds point clouds."""
     recordings = sorted(file for file in folder.iterdir() if file.suffix in RECORDINGS)
     return [] if recordings and holds_scans(folder) else recordings
 
 
 def holds_scans(folder: Path) -> bool:
-    """Whether clouds lie in a folder or below it."""
+    """Whether a folder or its subfolders contain point clouds."""
     return folder.is_dir() and any(map(ends(*SCANS), islice(folder.rglob("*"), MAX_LISTED)))
 
 
@@ -137,6 +143,7 @@ _WORLD: dict[str, Any] = {
     "draws": "scenegen.view.pictures:draw_world_file",
 }
 TYPES = {
+    # order matters: a collection's folder, for example, would also pass as "datasets"
     "collection": PathType(
         form="a folder with collection.json",
         test=holds("collection.json"),
@@ -223,14 +230,14 @@ TYPES = {
         form="a .toml file", test=ends(".toml"), opens="scenegen.worlds.recipe:read_recipe"
     ),
 }
-"""Every type of path by its name; of several that fit, the first holds."""
+"""All types by name. The first that fits a path holds."""
 DATA = ("dataset", "collection", "selection", "datasets")
-"""Types that are read by split: see `scenegen.dataset.collection.open_data`."""
+"""Types that are read by split; see `scenegen.dataset.collection.open_data`."""
 
 
 def type_of(path: str | PurePath) -> str | None:
-    """The name of a path's type, of `TYPES`; None for a path that is of none. A name with a scheme,
-    such as s3://bucket/folder, is a dataset."""
+    """Name of a path's type in `TYPES`, or None. A name with a scheme, such as s3://bucket/folder,
+    is a dataset."""
     if not isinstance(path, Path):
         if "://" in str(path):
             return "dataset"
@@ -239,29 +246,42 @@ def type_of(path: str | PurePath) -> str | None:
 
 
 def what_is(path: str | PurePath) -> str:
-    """The name of a path's type, as `type_of`. Raises DatasetError for a path that is of none."""
+    """Name of a path's type in `TYPES`.
+
+    Raises:
+        DatasetError: if nothing is at the path, or it has no known type.
+    """
     if name := type_of(path):
         return name
-    there = Path(path)
-    if not there.exists():
-        siblings = [sibling.name for sibling in there.parent.glob("*")]
-        near = difflib.get_close_matches(there.name, siblings, 1)
-        hint = f"; did you mean {there.with_name(near[0])}?" if near else ""
+    location = Path(path)
+    if not location.exists():
+        siblings = [sibling.name for sibling in location.parent.glob("*")]
+        near = difflib.get_close_matches(location.name, siblings, 1)
+        hint = f"; did you mean {location.with_name(near[0])}?" if near else ""
         raise DatasetError(f"{path}: there is no such file or folder{hint}")
-    seen = f"a file that ends in {there.suffix or 'nothing known'}"
-    if there.is_dir():
+    seen = f"a file that ends in {location.suffix or 'nothing known'}"
+    if location.is_dir():
         seen = "a folder that holds none of these"
     known = "; ".join(f"{name} ({path_type.form})" for name, path_type in TYPES.items())
     raise DatasetError(f"{path}: {seen}; known are {known}")
 
 
 def check_type(path: str | PurePath, *expected: str) -> None:
-    """Raise DatasetError for a path that is recognised as of another type than those `expected`,
-    and for a file of no type; a folder may be damaged, which whoever opens it says."""
+    """Check that a path has one of several types.
+
+    Args:
+        path: The path.
+        expected: Names of allowed types.
+
+    Raises:
+        DatasetError: if it has another type, or is a file without type. A folder without type
+            passes: it may be a damaged dataset, which its reader explains.
+    """
     name = type_of(path)
     if name is None and Path(path).is_file():
         what_is(path)
     if name is not None and name not in expected:
+        # a common mistake: the folder above the dataset
         inner = sorted(Path(path).glob("*/dataset.json")) if name == "datasets" else []
         hint = f"; did you mean {inner[0].parent}?" if "dataset" in expected and inner else ""
         hint = f"expected {' or '.join(expected)}{hint}"
@@ -269,15 +289,28 @@ def check_type(path: str | PurePath, *expected: str) -> None:
 
 
 def function_for(path: str | PurePath, verb: Literal["opens", "facts", "draws", "shows"]) -> Any:
-    """The function that has a `verb` of `PathType` done to a path. Raises DatasetError for a path
-    of no type, or of one without such a function."""
+    """Import the function for a path's type.
+
+    Args:
+        path: The path.
+        verb: Field of `PathType` that names the function.
+
+    Raises:
+        DatasetError: if the path has no type, or its type has no such function.
+    """
     name = what_is(path)
-    functions = {other: place for other in TYPES if (place := getattr(TYPES[other], verb))}
-    check_type(path, *dict.fromkeys(("dataset", *functions)))  # which all commands take
-    return Registry("type of path", functions).find(name)
+    targets = {
+        type_name: target for type_name in TYPES if (target := getattr(TYPES[type_name], verb))
+    }
+    # datasets come first in the message: every command accepts them
+    check_type(path, *dict.fromkeys(("dataset", *targets)))
+    return Registry("type of path", targets).find(name)
 
 
 def open_path(path: str | PurePath) -> Any:
-    """Open a path by the function of its type. Raises DatasetError for a path of no type, and as
-    that function does."""
+    """Open a path with the function of its type.
+
+    Raises:
+        DatasetError: if the path has no type. Errors of the function pass through.
+    """
     return function_for(path, "opens")(path)

@@ -1,10 +1,9 @@
-"""Executors elsewhere: what is sent to other machines, what comes back, and tasks of a Ray cluster
-(https://docs.ray.io/en/latest/ray-core/tasks.html).
+"""Tasks on a Ray cluster (https://docs.ray.io/en/latest/ray-core/tasks.html).
 
-Function and tasks are sent as bytes, to a function that is itself sent whole: a node that lacks
-scenegen, or has another one, can call it and say so. Errors come back as values, and tell the node.
-Ray's own tasks are used, and not Ray Data: their order and memory are ours. Its reporting of usage
-is off before it is imported.
+Function and tasks are sent as bytes to a wrapper that is pickled by value. A node without scenegen,
+or with another version, can therefore run the wrapper and report the problem. Errors return as
+values that name the node. Ray's tasks are used instead of Ray Data to control order and memory.
+Usage reporting is disabled before Ray is imported.
 """
 
 import collections
@@ -25,16 +24,27 @@ from scenegen.base.executors import LOCATED, Begun, Executor, Function, Results,
 from scenegen.base.workers import safe_path
 
 GO_ON = "what is written is kept: give the same command again to go on"
-"""What to do where a task is lost for good."""
+"""Advice when a task cannot be finished."""
 
 
 Outcome = tuple[Any, str]
-"""What became of a task on another machine: the result, and ""; or the exception and the machine
-that raised it, a text in place of the exception where the machine has no scenegen of ours."""
+"""Outcome of a remote task: its result and ""; or its exception and the machine's name. A machine
+without our scenegen returns a text in place of an exception."""
 
 
 def taken(value: Any, node: str) -> Any:
-    """The result of an `Outcome`. Raises its exception, which names the node."""
+    """Unwrap an `Outcome`.
+
+    Args:
+        value: The result, or the exception or text of a failure.
+        node: "" for a result, or the machine that failed.
+
+    Returns:
+        The result.
+
+    Raises:
+        Exception: the exception of the outcome, with the machine's name appended.
+    """
     if not node:
         return value
     error = GenerationError(value) if isinstance(value, str) else value
@@ -43,8 +53,13 @@ def taken(value: Any, node: str) -> Any:
 
 
 def pack(value: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:
-    """`value` as bytes for other machines. A dataset's folder that `locate` found by a name goes as
-    that name, for each machine to open: what was copied here is not there."""
+    """Pickle a value for other machines. The local copy of a remote dataset is sent by name, and
+    opened there.
+
+    Args:
+        value: The value.
+        pickler: Pickler class, such as cloudpickle's.
+    """
 
     class Packer(pickler):  # type: ignore[misc, valid-type]
         def persistent_id(self, item: Any) -> Any:
@@ -58,8 +73,8 @@ def pack(value: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:
 def _unpack(packed: bytes) -> Any:
     class Unpacker(pickle.Unpickler):
         def persistent_load(self, pid: Any) -> Path:
-            open_there, *name = pid
-            return open_there(*name)
+            open_dataset, *name = pid
+            return open_dataset(*name)
 
     return Unpacker(io.BytesIO(packed)).load()
 
@@ -67,16 +82,25 @@ def _unpack(packed: bytes) -> Any:
 def sent(
     function: Callable[[Any], Any], pickler: type[pickle.Pickler] = pickle.Pickler
 ) -> Callable[[bytes], Outcome]:
-    """`function` as it is sent, for tasks that are packed.
+    """Wrap a function for remote calls with packed tasks.
 
-    Pickled by value, as cloudpickle does with functions within functions, it needs no scenegen.
+    cloudpickle pickles the wrapper by value, since it is a nested function; so the remote machine
+    needs no scenegen to call it.
+
+    Args:
+        function: Applied to each task.
+        pickler: Pickler class for `function`.
+
+    Returns:
+        A function from a packed task to an `Outcome`.
     """
     folder = str(Path.cwd())
     command = pack(function, pickler), identity(), folder, folder in sys.path
 
-    def there(task: bytes) -> Outcome:
+    def call_remote(task: bytes) -> Outcome:
         try:
-            # `there` is sent by value: what it names, it imports
+            # imported here: as a global, it would be needed to unpickle this function, and a
+            # machine without scenegen could not report that
             from scenegen.base.ray import received
 
             return received(task, *command)
@@ -86,33 +110,38 @@ def sent(
             fix = "have the same scenegen, with its extras, on every node"
             return f"no task can be done: {error}; {fix}", gethostname()
 
-    return there
+    return call_remote
 
 
 def received(
     task: bytes, parcel: bytes, sender: dict[str, Any], folder: str, importable: bool
 ) -> Outcome:
-    """What comes of a task, on the machine that it was sent to.
+    """Run a task on the machine that it was sent to.
 
     Args:
-        task: The task, packed.
-        parcel: The function, packed.
-        sender: The `identity` of the scenegen that sent both; another one does nothing.
-        folder: Where the command was given. The task is done there, if the folder is here, too.
-        importable: Whether modules are imported from that folder: a user named one in it.
+        task: The packed task.
+        parcel: The packed function.
+        sender: `identity` of the sender. A machine with another identity refuses.
+        folder: Working directory of the sender, used here if it exists.
+        importable: Whether modules may be imported from that folder: the user named one in it.
+
+    Returns:
+        The `Outcome`.
 
     Raises:
-        ImportError: Something is not installed here.
+        ImportError: if a package is not installed here.
     """
     try:
-        own = identity()
-        if own != sender:
-            odd = [
-                f"{key} {own.get(key)}, not {it}" for key, it in sender.items() if own[key] != it
+        local = identity()
+        if local != sender:
+            mismatches = [
+                f"{key} {local.get(key)}, not {expected}"
+                for key, expected in sender.items()
+                if local[key] != expected
             ]
             raise GenerationError(
-                f"another scenegen there than here: {', '.join(odd)}; have the same on every node; "
-                f"{GO_ON}"
+                f"another scenegen there than here: {', '.join(mismatches)}; have the same on "
+                f"every node; {GO_ON}"
             )
         with suppress(OSError):
             os.chdir(folder)
@@ -120,38 +149,37 @@ def received(
             sys.path.append(folder)  # last, as the registry does
         return _function(parcel)(_unpack(task)), ""
     except ImportError:
-        raise
-    except Exception as error:  # whatever it is, it is raised where the run was begun
+        raise  # the wrapper of `sent` turns it into advice
+    except Exception as error:  # raised again by `taken` on the machine that started the run
         return told(error), socket.gethostname()
 
 
 @lru_cache(maxsize=1)
 def _function(parcel: bytes) -> Callable[[Any], Any]:
-    """The function of a parcel: one object for all tasks of a process, for it may keep something
-    from one to the next."""
+    """Unpack the function of a parcel. Cached, so that all tasks of a process share one object and
+    whatever it caches."""
     return _unpack(parcel)
 
 
 def named(task: Any) -> str:
-    """What a task is about: its file, where it has one."""
+    """Name of a task for messages: its file, if it has one."""
     return str(getattr(task, "file", task))[:200]
 
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
-"""What Ray's environment says wherever we begin it."""
-MOST_TRIES = 5
-"""How often a task may begin anew whose node or process was lost."""
+"""Environment variables for Ray."""
+MAX_RETRIES = 5
+"""How often a task is repeated if its node or process is lost."""
 AHEAD = 2
-"""Tasks given away for every core of the cluster: one that runs, and one that waits."""
+"""Tasks submitted per core of the cluster: one runs, one waits."""
 
 
 class Ray(Executor):
     """Tasks on a Ray cluster.
 
-    With an address, ``ray://host:port``, or ``ray://auto`` for the cluster that this machine is of,
-    a cluster that is there; else one that is begun on this machine, of `workers` cores, and ended
-    afterwards. Every node needs scenegen, of this version, and the files that a command names by
-    the same paths.
+    ``ray://host:port`` is an existing cluster, ``ray://auto`` the one that this machine belongs to.
+    Without an address, a cluster with `workers` cores is started on this machine and stopped
+    afterwards. Every node needs the same scenegen, and the command's files at the same paths.
     """
 
     def __init__(self, address: str, workers: int):
@@ -164,7 +192,7 @@ class Ray(Executor):
         self.address, self.workers = address, workers
 
     def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
-        """Connect, where this process is not connected yet, and have the tasks done."""
+        """Connect if necessary, and run the tasks; see `Executor`."""
         begun = self._connect()
         try:
             with _silence() if begun else nullcontext():
@@ -174,69 +202,75 @@ class Ray(Executor):
                 self.ray.shutdown()
 
     def _connect(self) -> bool:
-        """Whether this process was not connected before."""
-        ray, where = self.ray, self.address
+        """Connect to the cluster. Returns False if this process was connected before."""
+        ray, address = self.ray, self.address
         if ray.is_initialized():
             return False
-        if where in ("", "local"):
-            there = {"address": "local", "num_cpus": self.workers, "include_dashboard": False}
-        elif where == "auto":
-            there = {"address": "auto"}
+        if address in ("", "local"):
+            options = {"address": "local", "num_cpus": self.workers, "include_dashboard": False}
+        elif address == "auto":
+            options = {"address": "auto"}
         elif find_spec("grpc") is None:  # Ray's own line advises another package
-            raise GenerationError(f"--on ray://{where}: {needs('grpcio', 'ray')}")
+            raise GenerationError(f"--on ray://{address}: {needs('grpcio', 'ray')}")
         else:
-            there = {"address": f"ray://{where}"}
+            options = {"address": f"ray://{address}"}
         try:
-            with safe_path(), chdir("/"):  # the workers import from where the driver stands, first
+            # workers would import from the driver's working directory first
+            with safe_path(), chdir("/"):
                 ray.init(
-                    log_to_driver=False, logging_level="ERROR", configure_logging=False, **there
+                    log_to_driver=False, logging_level="ERROR", configure_logging=False, **options
                 )
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = str(error).splitlines()[0]
             raise GenerationError(
-                f"--on ray://{where}: no cluster answers there ({reason})"
+                f"--on ray://{address}: no cluster answers there ({reason})"
             ) from None
         return True
 
     def _run(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         ray = self.ray
         pickler = ray.cloudpickle.CloudPickler
-        remote = ray.remote(num_cpus=1, max_retries=MOST_TRIES)(sent(function, pickler))
+        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(sent(function, pickler))
         waiting = collections.deque(tasks)
-        given: dict[Any, Any] = {}
+        submitted: dict[Any, Any] = {}
         on_start()
         try:
-            while waiting or given:
-                most = max(AHEAD * int(ray.cluster_resources().get("CPU", 1)), 1)
-                while waiting and len(given) < most:
+            while waiting or submitted:
+                # asked again each time, since clusters grow and shrink
+                max_submitted = max(AHEAD * int(ray.cluster_resources().get("CPU", 1)), 1)
+                while waiting and len(submitted) < max_submitted:
                     task = waiting.popleft()
-                    given[remote.remote(pack(task, pickler))] = task
-                done, _ = ray.wait(list(given), num_returns=1)
-                for one in done:
-                    task = given.pop(one)
+                    submitted[remote.remote(pack(task, pickler))] = task
+                finished, _ = ray.wait(list(submitted), num_returns=1)
+                for reference in finished:
+                    task = submitted.pop(reference)
                     try:
-                        outcome = ray.get(one)
+                        outcome = ray.get(reference)
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
-                            f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node "
+                            f"{named(task)}: lost {MAX_RETRIES + 1} times with its process or node "
                             f"({reason}); {GO_ON}"
                         ) from None
                     yield taken(*outcome)
         finally:
-            for one in given:
-                ray.cancel(one, force=True)
+            for reference in submitted:
+                # without force, a task that runs would be waited for
+                ray.cancel(reference, force=True)
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Keep Ray from printing the log of a node that it lost: on standard output, where a command's
-    result goes. What that costs the run, its tasks tell. No setting of Ray's does this."""
+    """Keep Ray from printing the log of a lost node.
+
+    It prints on standard output, where a command's result goes, and no setting of Ray prevents
+    this. The affected tasks report the loss.
+    """
     from ray._private import worker
 
-    said = getattr(worker, "print_to_stdstream", None)
-    worker.print_to_stdstream = lambda *given, **named: None
+    original = getattr(worker, "print_to_stdstream", None)
+    worker.print_to_stdstream = lambda *args, **options: None
     try:
         yield
     finally:
-        worker.print_to_stdstream = said
+        worker.print_to_stdstream = original

@@ -1,7 +1,8 @@
-"""Stores: places for datasets that are no folders of this machine, by a name with a scheme.
+"""Stores: remote places for datasets, named by a URL.
 
-A `Store` has six verbs on whole files, over fsspec. A dataset is written to a `Place`, a folder or
-a store; it is read from a folder, for a store's in a mirror (see `scenegen.base.mirrors`).
+A `Store` has six operations on whole files, over fsspec. Datasets are written to a `Place`, a
+folder or a store. They are read from folders; a store's files are mirrored (see
+`scenegen.base.mirrors`).
 """
 
 import base64
@@ -26,26 +27,28 @@ from scenegen.base.files import names_in, read_bounded, write_whole
 
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
 ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
-"""A name that was meant for a store, and would be a folder of an odd name."""
+"""A URL with one slash missing, which would otherwise be a folder."""
 BUCKET = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/.*)?", re.ASCII)
 WRITTEN = "s3"
-"""The scheme of the stores that datasets are written to. Others are only read: their conditional
-puts are not known."""
+"""Scheme of the stores that can be written. Others are read-only: their conditional puts are not
+known."""
 
 ATTEMPTS = 11
-"""How often a request is sent whose answer is lost or says that the server has trouble: for about
+"""Maximum number of attempts of a request whose answer is lost or reports a server error: about
 half a minute."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
-"""Refusals of this machine's disk."""
+"""Errors of the local disk."""
 READS = 4
-"""How often s3fs asks for a file whose content is cut off."""
+"""How often s3fs repeats a truncated download."""
 CONNECT_S, READ_S = 5, 30
-"""Seconds after which a silent server counts as one that does not answer."""
+"""Timeouts of a connection and of an answer, seconds."""
 AGAIN = "what is finished is kept: give the same command again to go on"
+"""Advice after an error that may pass."""
 CONFLICT = (
     "somebody else has put other bytes there; end other runs that write there, remove the object "
     "if there are none, and give the same command again to go on"
 )
+"""Advice after a conflicting write."""
 FAULTS = {
     r"\d+ (ConditionalRequestConflict|PreconditionFailed)|(409|412) .*": CONFLICT,
     r"\d+ NoSuchBucket": "there is no such bucket; make it, or name one that is there",
@@ -63,36 +66,39 @@ FAULTS = {
     "AWS_CONFIG_FILE",
     ".*": f"the store does not answer; see to the network and the server; {AGAIN}",
 }
-"""Advice by an answer's status and code, or by the name of an exception's class; the first that
-fits counts."""
+"""Advice by the status and code of an answer, or the class of an exception. The first pattern that
+matches counts."""
 
 
 class ConflictError(StoreError):
-    """Another process put an object meanwhile."""
+    """Another process put an object in the meantime."""
 
 
 class Store:
     """A folder of objects, such as ``s3://bucket/folder``.
 
-    Each object is complete or absent. Every verb raises StoreError, in one line without
-    credentials, if the store refuses, is full, or does not answer in good time. Stores of other
-    schemes than s3 are for reading alone: put, create, replace and remove raise it, too.
+    Each object is complete or absent. Every operation raises StoreError, in one line without
+    credentials, if the store refuses, is full, or does not answer in time. Stores of other schemes
+    than s3 are read-only: put, create, replace and remove raise StoreError.
+
+    Args:
+        url: The URL.
 
     Raises:
-        DatasetError: `url` is not the name of a store, or holds credentials.
+        DatasetError: if `url` is not a store's, or holds credentials.
     """
 
     def __init__(self, url: str):
         match = REMOTE.fullmatch(url)
         assert match is not None, url
-        scheme, rest = match["scheme"], match["rest"].rstrip("/")
-        if "@" in rest.partition("/")[0]:
+        scheme, path = match["scheme"], match["rest"].rstrip("/")
+        if "@" in path.partition("/")[0]:
             raise DatasetError(
                 f"{scheme}://…@…: a name holds no credentials; give them as docs/stores.md says"
             )
         if (
-            {"", ".", ".."} & {*rest.split("/")}
-            or not rest.isprintable()
+            {"", ".", ".."} & {*path.split("/")}
+            or not path.isprintable()
             or len(url) > 1000
             or (scheme == WRITTEN and not BUCKET.fullmatch(url))
         ):
@@ -100,10 +106,10 @@ class Store:
                 f"{printable(url)[:200]}: expected a name such as s3://bucket/folder, where bucket "
                 "has 3 to 63 lower-case letters, digits, dots or hyphens"
             )
-        self.url = f"{scheme}://{rest}"
+        self.url = f"{scheme}://{path}"
         self._written = scheme == WRITTEN
         self._versions: dict[str, str | None] = {}
-        """The ETags of the objects that were read or put."""
+        """ETags of the objects that were read or put, by name."""
 
     def __str__(self) -> str:
         return self.url
@@ -112,9 +118,9 @@ class Store:
         return Store, (self.url,)
 
     def list(self) -> dict[str, int]:
-        """Names and sizes, bytes, of all objects, also those in subfolders."""
+        """Sizes of all objects, bytes, by name; those in subfolders included."""
 
-        def find(system: Any, path: str) -> dict[str, int]:
+        def _find(system: Any, path: str) -> dict[str, int]:
             files = system.find(path, detail=True)
             return {
                 name.removeprefix(path).lstrip("/"): int(info["size"] or 0)
@@ -122,50 +128,83 @@ class Store:
             }
 
         try:
-            return self._ask("", find)
+            return self._ask("", _find)
         except FileNotFoundError:
             return {}
 
     def read(self, name: str, max_bytes: int) -> bytes:
-        """The content of an object. Raises FileNotFoundError if there is none, and DatasetError if
-        it is larger than `max_bytes`."""
+        """Read an object.
 
-        def read(system: Any, path: str) -> tuple[bytes, str | None]:
+        Args:
+            name: The object.
+            max_bytes: Largest allowed size.
+
+        Raises:
+            FileNotFoundError: if there is no such object.
+            DatasetError: if it is larger.
+        """
+
+        def _read(system: Any, path: str) -> tuple[bytes, str | None]:
             with system.open(path, "rb") as file:
                 details = getattr(file, "details", None) or {}
                 return file.read(max_bytes + 1), details.get("ETag")
 
         self._versions.pop(name, None)
-        content, version = self._ask(name, read)
+        content, version = self._ask(name, _read)
         if len(content) > max_bytes:
             raise DatasetError(f"{self}/{name}: more than {max_bytes} bytes")
         self._versions[name] = version
         return content
 
     def fetch(self, name: str, path: Path) -> None:
-        """Copy an object to a file of this machine. Raises FileNotFoundError if there is none."""
+        """Copy an object to a local file.
 
-        def get(system: Any, there: str) -> None:
-            if not path.parent.is_dir():  # which is not to be taken for a missing object
+        Args:
+            name: The object.
+            path: The file. Its folder must exist.
+
+        Raises:
+            FileNotFoundError: if there is no such object.
+        """
+
+        def _get(system: Any, source: str) -> None:
+            # fsspec's FileNotFoundError would look like a missing object
+            if not path.parent.is_dir():
                 raise NotADirectoryError(errno.ENOTDIR, f"{path.parent} is gone")
-            system.get_file(there, str(path))
+            system.get_file(source, str(path))
 
-        self._ask(name, get)
+        self._ask(name, _get)
 
     def create(self, name: str, content: bytes) -> None:
-        """Put an object where there is none, or where one with the same content is. Raises
-        ConflictError otherwise."""
+        """Put a new object. An existing one with the same content is accepted.
+
+        Args:
+            name: The object.
+            content: The bytes.
+
+        Raises:
+            ConflictError: if the object exists with other content.
+        """
         try:
             self._put(name, content, IfNoneMatch="*")
         except ConflictError:
+            # a retry of a request whose answer was lost meets our own object
             with suppress(FileNotFoundError, DatasetError):
                 if self.read(name, len(content)) == content:
                     return
             raise
 
     def replace(self, name: str, content: bytes) -> None:
-        """Put an object in place of the version that this `Store` read or put last, or where there
-        is none if it did neither. Raises ConflictError if it has changed since."""
+        """Put an object in place of the version that this `Store` read or put last; if there is
+        none, create it.
+
+        Args:
+            name: The object.
+            content: The bytes.
+
+        Raises:
+            ConflictError: if the object has changed since.
+        """
         version = self._versions.get(name)
         if version is None:
             self._put(name, content, IfNoneMatch="*")
@@ -176,11 +215,16 @@ class Store:
             self._put(name, content, IfMatch=version.strip('"'))
 
     def put(self, name: str, content: bytes) -> None:
-        """Put an object, whatever is there."""
+        """Put an object unconditionally.
+
+        Args:
+            name: The object.
+            content: The bytes.
+        """
         self._put(name, content)
 
     def remove(self, name: str) -> None:
-        """Remove an object, if it is there."""
+        """Remove an object if it exists."""
         self._check_written()
         with suppress(FileNotFoundError):
             self._ask(name, lambda system, path: system.rm_file(path))
@@ -188,15 +232,15 @@ class Store:
 
     def _put(self, name: str, content: bytes, **condition: str) -> None:
         self._check_written()
-        # with its checksum, a server takes the content as it was sent, or refuses it
+        # with a checksum, the server refuses content that was corrupted in transit
         digest = hashlib.md5(content, usedforsecurity=False).digest()
         headers = {"ContentMD5": base64.b64encode(digest).decode(), **condition}
 
-        def put(system: Any, path: str) -> str:
+        def _put_file(system: Any, path: str) -> str:
             # in one request, however large it is; a page to log in at answers without ETag
             return system.pipe_file(path, content, chunksize=1 << 40, **headers)["ETag"]
 
-        self._versions[name] = self._ask(name, put)
+        self._versions[name] = self._ask(name, _put_file)
 
     def _check_written(self) -> None:
         if not self._written:
@@ -205,31 +249,30 @@ class Store:
             )
 
     def _ask(self, name: str, ask: Callable[[Any, str], Any]) -> Any:
-        """Return what `ask` gets from the file system about the object `name`."""
+        """Call `ask` with the file system and the path of object `name`; translate its errors."""
         system, home = _connect(self.url, os.getpid())
         try:
             return ask(system, f"{home}/{name}".rstrip("/"))
         except ScenegenError:
             raise
         except Exception as error:  # each file system has its own
-            code, where = _code_of(error), f"{self}/{name}".rstrip("/")
+            code, url = _code_of(error), f"{self}/{name}".rstrip("/")
             if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in code:
-                raise FileNotFoundError(where) from None
+                raise FileNotFoundError(url) from None
             if isinstance(error, OSError) and error.errno in DISK_ERRORS and code[0].isalpha():
                 raise StoreError(
-                    f"{where}: cannot be copied to this machine ({error.strerror}); free some "
+                    f"{url}: cannot be copied to this machine ({error.strerror}); free some "
                     "space, or name another folder by SCENEGEN_CACHE or TMPDIR"
                 ) from None
-        # nothing that a server says is repeated but its code: it may repeat what it was sent, and
-        # that holds a signature
-        advice = next(it for like, it in FAULTS.items() if re.fullmatch(like, code))
-        reason, _, rest = advice.partition(";")
+        # Only the code of an answer is repeated: its text may echo the request with its signature.
+        advice = next(text for pattern, text in FAULTS.items() if re.fullmatch(pattern, code))
+        reason, _, fix = advice.partition(";")
         kind = ConflictError if advice is CONFLICT else StoreError
-        raise kind(f"{where}: {reason} ({code});{rest}")
+        raise kind(f"{url}: {reason} ({code});{fix}")
 
 
 def _code_of(error: Exception) -> str:
-    """The status and the code of a server's answer, or the name of the exception's class."""
+    """Status and code of a server's answer, or the name of the exception's class."""
     answer = getattr(error.__cause__ or error, "response", None)
     if not isinstance(answer, dict):
         return type(error).__name__
@@ -240,8 +283,15 @@ def _code_of(error: Exception) -> str:
 
 @lru_cache(maxsize=64)
 def _connect(url: str, process: int) -> tuple[Any, str]:
-    """The file system that has the store called `url`, and its path there; one a process, because
-    connections do not survive a fork."""
+    """Connect to a store. Cached per process, because connections do not survive a fork.
+
+    Args:
+        url: The store.
+        process: Process id, as a key of the cache.
+
+    Returns:
+        The file system, and the store's path in it.
+    """
     scheme, options = url.partition("://")[0], dict[str, Any]()
     if scheme == WRITTEN:
         config: dict[str, Any] = {
@@ -271,16 +321,20 @@ def _connect(url: str, process: int) -> tuple[Any, str]:
 
 
 Place = Path | Store
-"""Where a dataset lies: a folder of this machine, or a store."""
+"""Location of a dataset: a local folder, or a store."""
 
 
 def is_remote(name: object) -> bool:
-    """Whether `name` is a text with a scheme. A Path never has one, whatever it looks like."""
+    """Whether `name` is a string with a scheme. A Path never is."""
     return isinstance(name, str) and REMOTE.match(name) is not None
 
 
 def place_of(name: str) -> Place:
-    """The place that a user named. Raises DatasetError if `name` cannot be one."""
+    """Make a `Place` of a name that a user gave.
+
+    Raises:
+        DatasetError: if the URL is malformed.
+    """
     if is_remote(name):
         return Store(name)
     if ONE_SLASH.match(name):
@@ -291,19 +345,38 @@ def place_of(name: str) -> Place:
 
 
 def names_at(place: Place) -> Mapping[str, int | None]:
-    """The names of a dataset's files; at a store, with their sizes in bytes."""
+    """Names of a dataset's files, with their sizes in bytes at a store."""
     return place.list() if isinstance(place, Store) else dict.fromkeys(names_in(place))
 
 
 def read_at(place: Place, name: str, max_bytes: int) -> bytes:
-    """The content of a file. Raises as `read_bounded` and `Store.read`."""
+    """Read a file of a dataset.
+
+    Args:
+        place: The dataset's location.
+        name: The file.
+        max_bytes: Largest allowed size.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        DatasetError: if it is larger.
+    """
     if isinstance(place, Store):
         return place.read(name, max_bytes)
     return read_bounded(place / name, max_bytes)
 
 
 def create_at(place: Place, name: str, content: bytes) -> None:
-    """Write a file; at a store, none is replaced by other bytes."""
+    """Write a file of a dataset.
+
+    Args:
+        place: The dataset's location.
+        name: The file.
+        content: The bytes.
+
+    Raises:
+        ConflictError: if a store holds the file with other content.
+    """
     if isinstance(place, Store):
         place.create(name, content)
     else:
@@ -311,7 +384,12 @@ def create_at(place: Place, name: str, content: bytes) -> None:
 
 
 def remove_at(place: Place, name: str) -> None:
-    """Remove a file, if it is there."""
+    """Remove a file of a dataset if it exists.
+
+    Args:
+        place: The dataset's location.
+        name: The file.
+    """
     if isinstance(place, Store):
         place.remove(name)
     else:

@@ -1,5 +1,4 @@
-"""Build a dataset: plan its shards, find those that are there, have the rest written, and sign the
-whole."""
+"""Build a dataset: plan its shards, find existing ones, write the others, complete the manifest."""
 
 import math
 import shutil
@@ -30,14 +29,14 @@ from scenegen.draw.source import Source
 from scenegen.worlds.recipe import Recipe
 
 NOTE_S = 30.0
-"""Seconds after which a run writes down what is finished; of the most shards that there can be,
-that takes some seconds."""
+"""Interval at which a run records finished shards, seconds. With `MOST_SHARDS`, recording takes
+some seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What a run did, and what it knows to be there; a job with a part of the shards looks at no
-    others until all are there."""
+    """Result of a run. A job that writes a part of the shards does not examine the others until all
+    exist."""
 
     folder: Place
     complete: bool
@@ -65,23 +64,26 @@ def plan_dataset(
     like: str | None = None,
     shard_type: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide samples into shards made of whole units.
+    """Divide samples into shards of whole units.
 
     Args:
-        folder: Where the dataset is to be.
-        recipe: What samples hold.
+        folder: Location of the dataset.
+        recipe: Settings of samples.
         source: Where worlds come from.
-        seed: What everything is drawn by.
-        counts: Samples of each split.
-        compact: Whether fields that follow from others are left out.
-        shard_samples: About how many samples a shard has.
-        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
-        tables: What the manifest says of the recipe, where that is not `recipe_entry`.
-        like: Digest of the dataset that is scanned again, if one is.
-        shard_type: What draws the units of a shard.
+        seed: Seed of all random numbers.
+        counts: Number of samples of each split.
+        compact: Whether derived fields are left out.
+        shard_samples: Approximate number of samples of a shard.
+        engine: Name of the engine that casts rays; see `lidarsim.engines.ENGINES`.
+        tables: The recipe's entry in the manifest, if it differs from `recipe_entry`.
+        like: Digest of the dataset that is scanned again, if any.
+        shard_type: Class of shards, which draws their units.
+
+    Returns:
+        The plan. Nothing is written.
 
     Raises:
-        DatasetError: An engine that is not to be had, or a number beyond those that readers take.
+        DatasetError: if the engine is not available, or a number exceeds a limit of readers.
     """
     find_engine(engine)
     seed = whole_number("--seed", seed, 0, MOST_SEED)
@@ -92,7 +94,8 @@ def plan_dataset(
         seed=seed,
         counts={split: counts[split] for split in SPLITS},
         tables=tables or recipe_entry(recipe),
-        scenes={split: [SceneEntry(**one) for one in scenes[split]] for split in scenes} or None,
+        scenes={split: [SceneEntry(**entry) for entry in scenes[split]] for split in scenes}
+        or None,
         like=like,
         fields=schema_of(recipe).stored(compact=compact),
         shard_samples=shard_samples,
@@ -101,29 +104,33 @@ def plan_dataset(
         folder=Path(str(folder)),
     )
     with raised_as(DatasetError, "a manifest cannot say what is asked for: ", of=BrokenError):
-        manifest.parse(manifest.encode(planned))  # whatever is written can be read
-    planned.__dict__.update(recipe=recipe, lidar=recipe.lidar)  # whose rays are not there yet
-    each = recipe.flight.viewpoints
-    step = max(shard_samples // each, 1)
-    if (samples := sum(counts.values())) > MOST_SHARDS * step * each:
+        # a manifest that no reader accepts is refused before anything is drawn
+        manifest.parse(manifest.encode(planned))
+    # cached properties would read the table of rays from the folder, where it is not written yet
+    planned.__dict__.update(recipe=recipe, lidar=recipe.lidar)
+    viewpoints = recipe.flight.viewpoints
+    step = max(shard_samples // viewpoints, 1)
+    if (samples := sum(counts.values())) > MOST_SHARDS * step * viewpoints:
         raise DatasetError(
             f"--shard-samples {shard_samples}: {samples} samples are more than {MOST_SHARDS} "
-            f"shards of {step * each}; give {-(-samples // MOST_SHARDS)} or more"
+            f"shards of {step * viewpoints}; give {-(-samples // MOST_SHARDS)} or more"
         )
     shards = []
     for split in SPLITS:
-        units = math.ceil(counts[split] / each)
+        units = math.ceil(counts[split] / viewpoints)
         for index, first in enumerate(range(0, units, step)):
-            here = range(first, min(first + step, units))
-            # a world a unit is a range, which takes no memory, or worlds come again
-            apart = source.number(split, here[-1])[0] == here[-1]
+            unit_numbers = range(first, min(first + step, units))
+            # with a new world for every unit, a range serves, which takes no memory
+            is_range = source.number(split, unit_numbers[-1])[0] == unit_numbers[-1]
             shards.append(
                 shard_type(
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=here if apart else [source.number(split, unit)[0] for unit in here],
-                    samples=min(len(here) * each, counts[split] - first * each),
+                    numbers=unit_numbers
+                    if is_range
+                    else [source.number(split, unit)[0] for unit in unit_numbers],
+                    samples=min(len(unit_numbers) * viewpoints, counts[split] - first * viewpoints),
                     seed=seed,
                     layout=layout_of(planned.fields, schema_of(recipe)),
                     parameters=planned.fingerprint,
@@ -136,7 +143,11 @@ def plan_dataset(
 
 
 def recipe_entry(recipe: Recipe) -> RecipeEntry:
-    """What a manifest says of a recipe. Raises DatasetError for noise that no manifest can hold."""
+    """Describe a recipe in a manifest.
+
+    Raises:
+        BrokenError: if the noise cannot be described.
+    """
     world = None if recipe.world is None else plain(asdict(recipe.world))
     return RecipeEntry(
         kind=recipe.kind,
@@ -164,18 +175,27 @@ def build(
     on_start: Counted = unheard,
     on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
 ) -> Summary:
-    """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make
-    a part of it.
+    """Make a dataset, or continue one.
 
-    A folder that holds the same dataset with fewer samples goes on from there.
+    A folder with the same dataset and fewer samples is continued. A run that is stopped leaves
+    complete shards, and the next run continues from there. The run that finds every shard completes
+    the manifest.
 
-    `workers` processes of this machine write the shards, or whatever `execute` has do it. `force`
-    replaces another dataset in the folder. `on_start` is told once the work has begun how many
-    samples this run sees to, and `on_shard` of each of its shards that is there already (False) and
-    of each that is written (True). A run that ends in any way leaves whole shards, and the next one
-    goes on from there. The run that finds every shard completes the manifest.
+    Args:
+        plan: The plan of the dataset.
+        workers: Number of processes of this machine.
+        execute: Executor of the shards, instead of `workers`.
+        shard_range: Positions (first, one past last) of the shards to write; all by default.
+        force: Whether another dataset in the folder is replaced.
+        on_start: Called with the number of samples of this run when its workers have started.
+        on_shard: Called as on_shard(report, is_new) for each shard of this run that exists or is
+            written.
 
-    Raises DatasetError for a folder that holds something else, and what writing shards raises.
+    Returns:
+        A summary of the run.
+
+    Raises:
+        DatasetError: if the folder holds something else. Errors of writing shards pass through.
     """
     first, stop = shard_range or (0, len(plan.shards))
     execute = execute or Local("", workers)
@@ -212,13 +232,12 @@ def build(
 
 
 def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written; a store tells
-    nobody beforehand."""
+    """Check that the disk can hold the missing shards. Stores do not report their free space."""
     if not missing or not isinstance(plan.folder, Path):
         return
     needed = replace(plan, shards=tuple(missing)).bytes_expected
     disk = shutil.disk_usage(writable(plan.folder))
-    # the system's own folders have no size; they refuse by themselves
+    # half of the estimate, so that no run is refused wrongly; /proc and the like have size 0
     if needed / 2 > disk.free and disk.total:
         raise DatasetError(
             f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
@@ -242,7 +261,7 @@ def _summarise(state: State, final: Manifest, written: int) -> Summary:
         complete=final.complete,
         samples=samples,
         worlds={split: len(numbers) for split, numbers in worlds.items()},
-        rejected={what: dict(counts) for what, counts in final.rejected.items()},
+        rejected={subject: dict(counts) for subject, counts in final.rejected.items()},
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
         shards_missing=missing,

@@ -1,7 +1,8 @@
-"""Several datasets, or some of their samples, read as one; and what opens any of these by a path.
+"""Several datasets, or some of their samples, read as one.
 
-A *collection* is a folder of datasets: those that its `collection.json` lists, or else all that lie
-in it. A *selection* is a JSON file that names samples of datasets by number, and no copy of them.
+A *collection* is a folder of datasets: those that its `collection.json` lists, otherwise all
+datasets in it. A *selection* is a JSON file that lists samples of datasets by number, without
+copies.
 """
 
 import os
@@ -29,13 +30,12 @@ class Collection(AnyDataset):
 
     Args:
         datasets: The datasets, which share a grid.
-        name: What errors call it.
-        chosen: For some of the datasets, by their number, the samples of each split that are taken,
-            by their numbers in it, rising; all of the others.
+        name: Name for messages.
+        chosen: Chosen samples of some datasets: position of the dataset → split → rising sample
+            numbers. Other datasets are used completely.
 
     Raises:
-        DatasetError: The datasets have different grids, two of them are the same, or a world that
-            was given as a file is in two splits.
+        DatasetError: if there is no dataset, or they cannot be read together; see `check_together`.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Collection(AnyDataset):
 
     @property
     def digest(self) -> str:
-        """What tells its samples from all others."""
+        """Identifies the samples and their order."""
         chosen = [
             {split: list(numbers) for split, numbers in self.chosen[n].items()}
             if n in self.chosen
@@ -70,21 +70,30 @@ class Collection(AnyDataset):
         for n, dataset in enumerate(self.datasets):
             numbers = self.chosen[n].get(split, ()) if n in self.chosen else None
             pieces += dataset.split(split).taken(numbers, first_world)
+            # worlds of later datasets are numbered on, so that numbers stay unique
             first_world += _worlds(dataset, split)
         return pieces
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
-        """See `Dataset.world`."""
-        dataset, own = self._world(split, number)
-        return dataset.world(split, own)
+        """Files of a world; see `AnyDataset.world`.
+
+        Returns:
+            Contents by name.
+        """
+        dataset, local_number = self._world(split, number)
+        return dataset.world(split, local_number)
 
     def compile(self, split: str, number: int) -> Any:
-        """See `Dataset.compile`."""
-        dataset, own = self._world(split, number)
-        return dataset.compile(split, own)
+        """Compile a world; see `AnyDataset.compile`.
+
+        Returns:
+            The world.
+        """
+        dataset, local_number = self._world(split, number)
+        return dataset.compile(split, local_number)
 
     def _world(self, split: str, number: int) -> tuple[Dataset, int]:
-        """The dataset of a world, and its number there."""
+        """The dataset of a world, and the world's number in it."""
         for dataset in self.datasets:
             if number < (worlds := _worlds(dataset, split)):
                 return dataset, number
@@ -96,14 +105,22 @@ class Collection(AnyDataset):
 
 
 def _worlds(dataset: Dataset, split: str) -> int:
-    """How many worlds a split of a complete dataset has."""
+    """Number of worlds in a split of a complete dataset."""
     return dataset.manifest.numbering(split).count(dataset.manifest.counts[split])
 
 
 def check_together(datasets: Sequence[Dataset]) -> None:
-    """Raise DatasetError unless `datasets` can be read as one: of one grid, no two with the same
-    samples, and no world in two splits, as far as manifests say; `verify` looks at the worlds
-    themselves."""
+    """Check that datasets can be read as one: the same grid, no samples twice, no world in two
+    splits.
+
+    Only manifests are compared; `verify` compares the worlds themselves.
+
+    Args:
+        datasets: The datasets.
+
+    Raises:
+        DatasetError: if they cannot be read as one.
+    """
     by_parameters = dict[str, Dataset]()
     split_of_world = dict[str, tuple[str, Dataset]]()
     for dataset in datasets:
@@ -113,16 +130,17 @@ def check_together(datasets: Sequence[Dataset]) -> None:
                 f"{dataset.name}: its grid is {dataset.grid}, that of {first.name} is "
                 f"{first.grid}; read datasets together that share it"
             )
-        # the counts and the size of shards decide no sample
-        drawn_by = {
+        # these parameters do not change any sample
+        identity = {
             name: value
             for name, value in dataset.manifest.parameters.items()
             if name not in ("counts", "shard_samples", "software", "fields")
         }
-        other = by_parameters.setdefault(repr(drawn_by), dataset)
-        if other is not dataset:
+        same_samples = by_parameters.setdefault(repr(identity), dataset)
+        if same_samples is not dataset:
             raise DatasetError(
-                f"{dataset.name}: holds the same samples as {other.name}; leave one of the two out"
+                f"{dataset.name}: holds the same samples as {same_samples.name}; leave one of the "
+                "two out"
             )
         for split, scenes in (dataset.manifest.scenes or {}).items():
             for scene in scenes:
@@ -138,37 +156,37 @@ COLLECTION = "collection.json"
 SELECTION_SUFFIX = ".json"
 
 FilePath = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,4096}\Z")]
-"""Without control characters: the system takes no NUL, and errors are one line."""
+"""Without control characters: the system rejects NUL, and errors must be one line."""
 Paths = Annotated[list[FilePath], Meta(min_length=1, max_length=MOST_SOURCES)]
 Numbers = list[Annotated[int, Meta(ge=0)]]
 
 
 class CollectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`collection.json`."""
+    """Schema of `collection.json`."""
 
     format: Literal["scenegen-collection"] = "scenegen-collection"
     version: Literal[1] = 1
     datasets: Paths
-    """Folders of the datasets, from that of the file on."""
+    """Folders of the datasets, relative to the file's folder."""
 
 
 class SelectedDataset(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Samples of one dataset."""
+    """Selected samples of one dataset."""
 
     path: FilePath
-    """Its folder, from that of the file on, or its name at a store."""
+    """Its folder, relative to the file's folder; or its URL."""
     digest: Digest
     samples: dict[SplitName, Numbers]
-    """Numbers of the samples in each split, rising."""
+    """Rising sample numbers by split."""
 
 
 class SelectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A selection."""
+    """Schema of a selection's file."""
 
     format: Literal["scenegen-selection"] = "scenegen-selection"
     version: Literal[1] = 1
     chosen_by: str
-    """How the samples were chosen, in words of the command line."""
+    """How the samples were chosen, as options of the command line."""
     datasets: Annotated[list[SelectedDataset], Meta(min_length=1, max_length=MOST_SOURCES)]
 
 
@@ -182,17 +200,18 @@ def open_data(
     checked: bool = False,
     shown: bool = False,
 ) -> AnyDataset:
-    """The dataset, the collection or the selection of a name.
+    """Open a dataset, a collection or a selection.
 
     Args:
-        names: A folder, the file of a selection, ``hf://user/name[@revision]`` or
+        names: A folder, a selection's file, ``hf://user/name[@revision]`` or
             ``s3://bucket/folder``; or a list of these, which are read as one.
-        partial: Whether incomplete datasets are opened, too.
-        checked: Whether all that is read is held against its digests.
-        shown: Whether a download shows how far it has come.
+        partial: Whether incomplete datasets are accepted.
+        checked: Whether everything that is read is compared with its digest.
+        shown: Whether a download shows its progress.
 
     Raises:
-        DatasetError: There is no such thing, it is damaged, or the datasets do not go together.
+        DatasetError: if there is no such dataset, it is damaged, or datasets cannot be read
+            together.
     """
     if isinstance(names, AnyDataset):
         return names
@@ -207,7 +226,7 @@ def open_data(
         return Dataset(folder, partial=partial, checked=checked)
     members = members_of(folder)
     if not members:
-        return Dataset(folder, partial=partial, checked=checked)  # which says what is missing
+        return Dataset(folder, partial=partial, checked=checked)  # raises an error with advice
     for member in members:
         if not (member / NAME).exists():
             raise DatasetError(
@@ -218,27 +237,31 @@ def open_data(
 
 
 def load(dataset: Any, split: str = "train") -> Split:
-    """The samples of a split, read when asked for, without a copy in memory.
+    """Open one split of a dataset. Samples are read on access, without a copy in memory.
 
     Args:
-        dataset: What `open_data` takes: a folder of a dataset or of several, a selection's file,
+        dataset: A folder of one or several datasets, a selection's file,
             ``hf://user/name[@revision]``, ``s3://bucket/folder``, or a list of these.
         split: "train", "val" or "test".
 
     Returns:
-        A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
-        spawned, each of which opens the files for itself; its `describe()` gives names, types,
-        shapes, units and meanings of the fields.
+        A sequence of `scenegen.Sample`. It can be passed to any number of processes, forked or
+            spawned, each of which opens the files for itself. `describe()` lists names, types,
+            shapes, units and meanings of the fields.
 
     Raises:
-        DatasetError: There is no such dataset or split, or it is incomplete or damaged.
+        DatasetError: if there is no such dataset or split, or it is incomplete or damaged.
     """
     return open_data(dataset).split(split)
 
 
 def members_of(folder: Path) -> list[Path]:
-    """The folders of the datasets of a collection: those that its file lists, or else all that lie
-    in `folder`. Raises DatasetError."""
+    """Folders of the datasets of a collection: those in its `collection.json`, otherwise all
+    datasets in `folder`.
+
+    Raises:
+        DatasetError: if the file is damaged.
+    """
     path = folder / COLLECTION
     if not path.is_file():
         return sorted(member.parent for member in folder.glob(f"*/{NAME}"))
@@ -246,37 +269,48 @@ def members_of(folder: Path) -> list[Path]:
 
 
 def write_collection(folder: Path, members: Sequence[str]) -> None:
-    """Have `folder` list its datasets, those in its folders `members`."""
+    """Write a `collection.json`.
+
+    Args:
+        folder: Folder of the collection.
+        members: Folders of its datasets, relative to `folder`.
+    """
     document = CollectionFile(datasets=list(members))
     content = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
     write_whole(folder / COLLECTION, content)
 
 
 def name_from(folder: Path, dataset: Path) -> str:
-    """What the file of a selection in `folder` calls a dataset."""
+    """Path of a dataset in a selection's file.
+
+    Args:
+        folder: Folder of the file.
+        dataset: Folder of the dataset.
+    """
     return os.path.relpath(dataset, folder)
 
 
 def _joined(opened: Sequence[AnyDataset]) -> Collection:
-    """Several as one."""
+    """Join opened datasets, collections and selections."""
     datasets, chosen = list[Dataset](), {}
-    for one in opened:
-        for number, dataset in enumerate(one.datasets):
-            if isinstance(one, Collection) and number in one.chosen:
-                chosen[len(datasets)] = one.chosen[number]
+    for source in opened:
+        for number, dataset in enumerate(source.datasets):
+            if isinstance(source, Collection) and number in source.chosen:
+                chosen[len(datasets)] = source.chosen[number]
             datasets.append(dataset)
-    return Collection(datasets, ", ".join(one.name for one in opened), chosen)
+    return Collection(datasets, ", ".join(source.name for source in opened), chosen)
 
 
 def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
-    """The selection in a file. Raises DatasetError."""
+    """Open a selection's file."""
     datasets, chosen = list[Dataset](), {}
     for number, selected in enumerate(_decoded(path, SelectionFile).datasets):
-        where = selected.path if is_remote(selected.path) else str(path.parent / selected.path)
-        dataset = Dataset(locate(where), partial=partial, checked=checked)
+        location = selected.path if is_remote(selected.path) else str(path.parent / selected.path)
+        dataset = Dataset(locate(location), partial=partial, checked=checked)
+        # sample numbers of another version would select other samples
         if dataset.digest != selected.digest:
             raise DatasetError(
-                f"{path}: was chosen of a dataset of digest {selected.digest[:8]}…, {where} has "
+                f"{path}: was chosen of a dataset of digest {selected.digest[:8]}…, {location} has "
                 f"{dataset.digest[:8]}…; choose again"
             )
         for split in SPLITS:
@@ -295,9 +329,9 @@ def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
 
 
 def _decoded(path: Path, kind: Any) -> Any:
-    """The JSON in a file, as the schema `kind`. Raises DatasetError."""
+    """Decode a JSON file by a schema. Raises DatasetError if it does not fit."""
     try:
         return msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=kind)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        what = "collection's list" if kind is CollectionFile else "dataset, collection or selection"
-        raise DatasetError(f"{path}: is no {what} ({printable(error)[:200]})") from None
+        noun = "collection's list" if kind is CollectionFile else "dataset, collection or selection"
+        raise DatasetError(f"{path}: is no {noun} ({printable(error)[:200]})") from None

@@ -1,5 +1,5 @@
-"""Datasets from what a user asks for: a kind of worlds, several by weight, a recipe or MJCF files,
-and how many samples."""
+"""`generate`: from the user's options (a kind of worlds, a mixture, a recipe, or files) to plans of
+datasets."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -38,32 +38,38 @@ from scenegen.worlds.tables import named_lidar
 
 @dataclass(frozen=True, kw_only=True)
 class Plans:
-    """What is to be made: a dataset, or a collection of several."""
+    """Datasets to make: one, or several of a collection."""
 
     folder: Place
     datasets: tuple[Plan, ...]
-    """The dataset; or several, in folders of `folder`."""
+    """One dataset, or several in subfolders of `folder`."""
 
     @property
     def is_collection(self) -> bool:
-        """Whether `folder` is to hold several datasets."""
+        """Whether there are several datasets in subfolders of `folder`."""
         return self.datasets[0].folder != self.folder
 
     def open(self, *, force: bool = False) -> None:
-        """Have the folder of a collection list its datasets. Raises DatasetError where it holds
-        something else, unless `force` is given."""
+        """List the datasets in the folder of a collection.
+
+        Args:
+            force: Whether another collection is replaced.
+
+        Raises:
+            DatasetError: if the folder holds something else.
+        """
         if not self.is_collection or isinstance(self.folder, Store):
             return
         members = [plan.name for plan in self.datasets]
         path = self.folder / COLLECTION
         with disk_told(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            others = {item.name for item in self.folder.iterdir()} - {COLLECTION, *members}
-        others = {name for name in others if not name.endswith(".tmp")}
-        if others and not path.exists():
+            names = {item.name for item in self.folder.iterdir()} - {COLLECTION, *members}
+        strangers = {name for name in names if not name.endswith(".tmp")}
+        if strangers and not path.exists():
             raise DatasetError(
-                f"{self.folder}: holds other files ({min(others)}, …); choose another folder with "
-                "--out"
+                f"{self.folder}: holds other files ({min(strangers)}, …); choose another folder "
+                "with --out"
             )
         if path.exists() and not force:
             before = [member.name for member in members_of(self.folder)]
@@ -84,26 +90,27 @@ def generate(
     force: bool = False,
     **options: Any,
 ) -> AnyDataset:
-    """Make a dataset, or go on with one, as `scenegen generate` does.
+    """Make a dataset, or continue one, as `scenegen generate` does.
 
     Args:
         kind: Name of a kind of random worlds, or a kind of your own as "module:Class"; "mixed" for
             a collection of all kinds.
-        n: Training samples; 2500 by default.
+        n: Number of training samples; 2500 by default.
         out: Folder of the dataset; data/<kind> by default.
-        workers: Processes of this machine that write shards.
-        force: Replace another dataset in the folder.
-        options: Those of `scenegen.dataset.generation.plan_generation`, whose help says more:
-            `val`, `test`, `scene`, `recipe`, `like`, `lidar`, `noise`, `mapping`, `difficulty`,
-            `labels`, `normals`, `seed`, `engine`, `compact`, `shard_samples`, `allow_unseen`.
+        workers: Number of processes of this machine.
+        force: Whether another dataset in the folder is replaced.
+        options: As for `plan_generation`: `val`, `test`, `scene`, `recipe`, `like`, `lidar`,
+            `noise`, `mapping`, `difficulty`, `labels`, `normals`, `seed`, `engine`, `compact`,
+            `shard_samples`, `allow_unseen`.
 
     Returns:
-        The dataset, or the collection, opened.
+        The opened dataset or collection.
 
     Raises:
-        RecipeError, SceneError: What is asked for cannot be.
-        DatasetError: The folder holds something else, or the disk refuses.
-        GenerationError: No acceptable world comes out of the recipe's draws.
+        RecipeError: if options contradict each other, or the recipe is invalid.
+        SceneError: if a file cannot be used as a world.
+        DatasetError: if the folder holds something else, or the disk refuses.
+        GenerationError: if all draws of a world are rejected.
     """
     plans = plan_generation(kind, n, out=out, **options)
     plans.open(force=force)
@@ -134,34 +141,41 @@ def plan_generation(
     shard_samples: int | None = None,
     **parts: Any,
 ) -> Plans:
-    """The shards of the dataset that is asked for, or of several; nothing is written yet.
+    """Plan the dataset, or datasets, that the options describe. Nothing is written.
 
     Args:
-        kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all, or for the
+        kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all kinds, or for the
             components of the recipe.
-        n: Training samples; 2500 by default.
-        val: Validation samples; by default a tenth of `n`, and none where there is one world.
-        test: Test samples; by default a fifth of `n`, and none where there is one world.
-        out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
-        scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
-            a point cloud that says where its sensor was, in place of random worlds.
-        recipe: A TOML file of what differs from the kind's preset, or a whole `Recipe`.
-        like: A dataset, or its manifest: see `scenegen.dataset.like.plan_like`.
-        lidar: The sensor, or its name; the recipe's by default.
-        noise: Stages of noise, such as "range:0.02,dropout:0.05"; "none" for none.
-        mapping: Parameters of how maps are made.
-        difficulty: "easy", "medium" or "hard": which preset of the kind.
-        seed: The same seed gives the same dataset; 0 by default.
+        n: Number of training samples; 2500 by default.
+        val: Number of validation samples; by default a tenth of `n`, or 0 if there is only one
+            world.
+        test: Number of test samples; by default a fifth of `n`, or 0 if there is only one world.
+        out: Folder of the dataset; by default data/<kind> or data/<name of the scene>.
+        scene: Worlds from files instead of random ones: an MJCF file, a mesh, a map of a real place
+            (.bt, .ot, .npz), a folder of these, or a point cloud that records the sensor's
+            position.
+        recipe: A TOML file with changes to the kind's preset, or a complete `Recipe`.
+        like: A dataset or its manifest; see `scenegen.dataset.like.plan_like`.
+        lidar: The sensor or its name; by default the recipe's.
+        noise: Stages of noise, such as "range:0.02,dropout:0.05"; "none" for clean ranges.
+        mapping: Parameters of the mapper.
+        difficulty: Preset of the kind: "easy", "medium" or "hard".
+        seed: Seed of all random numbers; 0 by default.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
-        report: Called with a sentence for whatever of the scenes is left out.
-        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
-        compact: Whether fields that follow from others are left out.
-        shard_samples: About how many samples a shard has.
-        parts: Parts of samples that are stored besides, by their names in `PARTS`:
-            `labels`, "class", "name", "material" or "group"; `normals`, True.
+        report: Called with a sentence about each part of the scenes that is left out.
+        engine: Name of the engine that casts rays; see `lidarsim.engines.ENGINES`.
+        compact: Whether derived fields are left out.
+        shard_samples: Approximate number of samples of a shard.
+        parts: Optional parts of samples, by their names in `PARTS`: `labels` is "class", "name",
+            "material" or "group"; `normals` is True.
+
+    Returns:
+        The plans.
 
     Raises:
-        RecipeError, SceneError, DatasetError: What is asked for cannot be.
+        RecipeError: if options contradict each other, or the recipe is invalid.
+        SceneError: if a file cannot be used as a world.
+        DatasetError: if a number is out of range, or `like` is no dataset.
     """
     if kind is None and scene is None and recipe is None and like is None:
         raise AskedError(
@@ -172,46 +186,54 @@ def plan_generation(
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     for name in parts.keys() - PARTS.keys():
         raise AskedError(f"unknown option {short(name)}; expected {', '.join(PARTS)}")
-    mapping = mapping or None  # of no parameters, it is none
+    mapping = mapping or None  # without parameters, the recipe's mapping stays
     sensing: Json = {"lidar": lidar, "noise": noise, "mapping": mapping}
-    written: Json = {"compact": compact}
+    storage: Json = {"compact": compact}
     if shard_samples is not None:
-        written["shard_samples"] = shard_samples
+        storage["shard_samples"] = shard_samples
     if like is not None:
-        own = {"scene": scene, "recipe": recipe, "difficulty": difficulty, "seed": seed, **parts}
-        if odd := [name for name, value in own.items() if value]:
-            raise AskedError(f"--like says all of worlds; leave out {', '.join(odd)}")
+        world_options = {
+            "scene": scene,
+            "recipe": recipe,
+            "difficulty": difficulty,
+            "seed": seed,
+            **parts,
+        }
+        if conflicts := [name for name, value in world_options.items() if value]:
+            raise AskedError(f"--like says all of worlds; leave out {', '.join(conflicts)}")
         numbers = None
         if (n, val, test) != (None, None, None):
             numbers = _counts(2500 if n is None else n, val, test, alone=False)
         return _plan_like(like, out, kind, sensing, engine, numbers, compact=compact)
-    written["engine"] = engine or DEFAULT
-    beside: Json = sensing | {"difficulty": difficulty}
-    named = kind if scene is None else "scene"
-    file = None if isinstance(recipe, Recipe | None) else Path(recipe)
+    storage["engine"] = engine or DEFAULT
+    preset_options: Json = sensing | {"difficulty": difficulty}
+    kind_name = kind if scene is None else "scene"
+    recipe_file = None if isinstance(recipe, Recipe | None) else Path(recipe)
     number, seed = 2500 if n is None else n, seed or 0
     if isinstance(recipe, Recipe):
-        if named not in (None, recipe.kind) or any(beside.values()):
+        if kind_name not in (None, recipe.kind) or any(preset_options.values()):
             raise AskedError(
                 f"a whole Recipe, of kind {recipe.kind}, says all but worlds from files; leave "
-                f"out a kind, {', '.join(beside)}"
+                f"out a kind, {', '.join(preset_options)}"
             )
-        asked = recipe
-    elif named == MIXED or (file is not None and is_mixed(file)):
-        if named not in (None, MIXED):
-            raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
+        base_recipe = recipe
+    elif kind_name == MIXED or (recipe_file is not None and is_mixed(recipe_file)):
+        if kind_name not in (None, MIXED):
+            raise RecipeError(
+                f"{recipe}: is of several kinds, not of {kind_name}; leave --kind out"
+            )
         components = [
-            (_with_parts(one, parts, DrawnWorlds(one)), weight)
-            for one, weight in read_components(file, seed=seed, **beside)
+            (_with_parts(part_recipe, parts, DrawnWorlds(part_recipe)), weight)
+            for part_recipe, weight in read_components(recipe_file, seed=seed, **preset_options)
         ]
         counts = _counts(number, val, test, alone=False)
         folder = _folder(out, MIXED)
-        return plan_mixed(folder, components, seed=seed, counts=counts, **written)
-    elif file is not None:
-        asked = read_recipe(file, named, **beside)
+        return plan_mixed(folder, components, seed=seed, counts=counts, **storage)
+    elif recipe_file is not None:
+        base_recipe = read_recipe(recipe_file, kind_name, **preset_options)
     else:
-        assert named is not None
-        asked = preset(named, **beside)
+        assert kind_name is not None
+        base_recipe = preset(kind_name, **preset_options)
     source: DrawnWorlds | SceneWorlds
     if scene is not None:
         source = read_scenes(
@@ -223,27 +245,27 @@ def plan_generation(
         )
         for line in source.notes:
             report(line)
-        if source.maps and written["engine"] != DEFAULT:
+        if source.maps and storage["engine"] != DEFAULT:
             raise SceneError(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
-        asked, name = source.suited(asked), Path(scene).stem
-        alone = sum(map(len, source.scenes.values())) == 1
-    elif asked.world is None:
+        base_recipe, name = source.suited(base_recipe), Path(scene).stem
+        single_world = sum(map(len, source.scenes.values())) == 1
+    elif base_recipe.world is None:
         raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
     else:
-        source, alone = DrawnWorlds(asked), False
-        name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    asked = _with_parts(asked, parts, source)
-    if asked.parts and isinstance(source, SceneWorlds) and source.maps:
+        source, single_world = DrawnWorlds(base_recipe), False
+        name = base_recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    base_recipe = _with_parts(base_recipe, parts, source)
+    if base_recipe.parts and isinstance(source, SceneWorlds) and source.maps:
         raise SceneError(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
-            f"--{', --'.join(asked.parts)}"
+            f"--{', --'.join(base_recipe.parts)}"
         )
-    counts = _counts(number, val, test, alone=alone)
+    counts = _counts(number, val, test, alone=single_world)
     folder = _folder(out, name)
-    plan = plan_dataset(folder, asked, source, seed=seed, counts=counts, **written)
+    plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)
     return Plans(folder=folder, datasets=(plan,))
 
 
@@ -257,16 +279,16 @@ def _plan_like(
     *,
     compact: bool,
 ) -> Plans:
-    """A dataset like another one; see `plan_generation`."""
+    """Plan a dataset like another one; see `plan_generation`."""
     if out is None:
         raise AskedError("a dataset like another one needs a folder of its own; give --out")
     folder, lidar = _folder(out, ""), sensing["lidar"]
     sensor = None if lidar is None else named_lidar(lidar)
-    text = sensing["noise"]
+    noise_text = sensing["noise"]
     with raised_as(RecipeError):
-        noise = None if text is None else Noise.parse(text, sensor)
-    options: Json = {} if counts is None else {"counts": counts}
-    options |= {"compact": True} if compact else {}
+        noise = None if noise_text is None else Noise.parse(noise_text, sensor)
+    changes: Json = {} if counts is None else {"counts": counts}
+    changes |= {"compact": True} if compact else {}
     plan = plan_like(
         like,
         folder,
@@ -275,14 +297,14 @@ def _plan_like(
         noise=noise,
         mapping=sensing["mapping"],
         engine=engine,
-        **options,
+        **changes,
     )
     return Plans(folder=folder, datasets=(plan,))
 
 
 def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
-    """Samples of each split; those of the only world are all for training unless asked for. Raises
-    DatasetError for numbers beyond those that readers take."""
+    """Number of samples of each split. All samples of a single world are for training by default.
+    Raises DatasetError for numbers out of range."""
     n = whole_number("--n", n, 0, MOST_SAMPLES)
     usual = {"val": 0 if alone else max(n // 10, 1), "test": 0 if alone else max(n // 5, 1)}
     return {"train": n} | {
@@ -294,7 +316,7 @@ def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[s
 def _with_parts(
     recipe: Recipe, parts: Mapping[str, Any], source: DrawnWorlds | SceneWorlds
 ) -> Recipe:
-    """`recipe` with the `parts` of samples that the user chose."""
+    """Add the optional parts of samples that the user chose to a recipe."""
     return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
 
 
@@ -312,12 +334,25 @@ def plan_mixed(
     seed: int,
     **options: Any,
 ) -> Plans:
-    """Divide `counts` (samples a split) among the components, each a dataset in a folder of its
-    own.
+    """Divide samples among the components of a mixture. Each becomes a dataset in its own
+    subfolder.
 
-    The component's samples are those of the dataset with as many samples and its own of the
-    `seeds`. `options` are those of `plan_dataset`. Raises DatasetError, and RecipeError where the
-    components have different grids.
+    A component's samples equal those of a dataset of its own with the same number of samples and
+    its seed from `seeds`.
+
+    Args:
+        folder: Folder of the collection.
+        components: Recipes and weights.
+        counts: Number of samples of each split.
+        seed: Seed of the mixture.
+        options: As for `plan_dataset`.
+
+    Returns:
+        The plans.
+
+    Raises:
+        DatasetError: if `folder` is a store.
+        RecipeError: if the components have different grids.
     """
     if isinstance(folder, Store):
         raise DatasetError(
@@ -326,8 +361,8 @@ def plan_mixed(
     weights = [weight for _, weight in components]
     by_split = {split: shares(counts[split], weights) for split in SPLITS}
     recipes = [recipe for recipe, _ in components]
-    own_seeds = seeds([recipe.kind for recipe in recipes], seed)
-    names = folder_names([graded(one.kind, one.difficulty) for one in recipes])
+    component_seeds = seeds([recipe.kind for recipe in recipes], seed)
+    names = folder_names([graded(recipe.kind, recipe.difficulty) for recipe in recipes])
     plans = []
     for n, recipe in enumerate(recipes):
         if recipe.grid != recipes[0].grid:
@@ -335,18 +370,23 @@ def plan_mixed(
                 f"mixed: component {recipe.kind}: its grid is {recipe.grid}, that of "
                 f"{recipes[0].kind} is {recipes[0].grid}; give all components the same"
             )
-        own_counts = {split: part[n] for split, part in by_split.items()}
-        if any(own_counts.values()):
-            source, own_folder = DrawnWorlds(recipe), folder / names[n]
+        component_counts = {split: divided[n] for split, divided in by_split.items()}
+        if any(component_counts.values()):
+            source, component_folder = DrawnWorlds(recipe), folder / names[n]
             plan = plan_dataset(
-                own_folder, recipe, source, counts=own_counts, seed=own_seeds[n], **options
+                component_folder,
+                recipe,
+                source,
+                counts=component_counts,
+                seed=component_seeds[n],
+                **options,
             )
             plans.append(plan)
     return Plans(folder=folder, datasets=tuple(plans))
 
 
 def folder_names(kinds: Sequence[str]) -> list[str]:
-    """A folder's name for each component of these kinds; those of one kind are numbered."""
+    """Names of the components' folders. Components of the same kind are numbered."""
     plain = [kind.rpartition(":")[2] for kind in kinds]
     before: Counter[str] = Counter()
     names = []

@@ -1,8 +1,8 @@
-"""A shard's HDF5 file: held against the format when it is opened, then read chunk by chunk, each
-into no more bytes than it may have. Reading, resuming, verifying and training all go through here.
+"""HDF5 files of shards: checked when opened, then read chunk by chunk within limits. Reading,
+resuming, verifying and training all use this.
 
-HDF5 may hang, crash or take all memory on a file that was made to do so. `verify` opens shards in a
-process with limits; everything else reads files that are the user's own, or have passed it.
+HDF5 may hang, crash or exhaust memory on a crafted file. `verify` opens shards in a process with
+limits; all other code reads the user's own files, or files that passed `verify`.
 """
 
 import math
@@ -25,9 +25,9 @@ from scenegen.base.mirrors import fetch
 from scenegen.draw.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
-"""Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
+"""Name of the HDF5 dataset of the samples' digests, uint8 (N, 32)."""
 ATTRIBUTES = ("split", "first_world", "worlds_sha256", "parameters", "rejected")
-"""What a shard says of itself as a whole."""
+"""Attributes of a shard's file."""
 FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
 READ_ERRORS = (
@@ -40,45 +40,61 @@ READ_ERRORS = (
     TypeError,
     ValueError,
 )
-"""What reading a damaged HDF5 file may raise: h5py translates the library's errors to many."""
+"""Errors that reading a damaged file may raise: h5py translates those of the library to many types.
+"""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
-"""Every dataset that a shard has to hold: its type, and the shape of one sample."""
+"""HDF5 datasets of a shard by name: type, and shape of one sample."""
 
 
 def layout_of(fields: Iterable[str], schema: Schema) -> Layout:
-    """The layout of a shard that stores `fields` of samples of that schema."""
+    """Layout of a shard.
+
+    Args:
+        fields: Names of the stored fields.
+        schema: Schema of the samples.
+    """
     columns = {name: (np.dtype(FIELDS[name]["dtype"]), schema.shape(name)) for name in fields}
     return {**columns, DIGEST: (np.dtype(np.uint8), (32,))}
 
 
 def most_bytes(layout: Layout, samples: int) -> int:
-    """What a shard of `samples` may take on disk, however badly it is packed."""
-    each = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
-    return samples * (each + each // 100) + (1 << 20)
+    """Maximum size of a shard's file, bytes, if nothing in it compresses.
+
+    Args:
+        layout: Layout of the shard.
+        samples: Number of samples.
+    """
+    sample_bytes = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
+    return samples * (sample_bytes + sample_bytes // 100) + (1 << 20)
 
 
 class Rejected(msgspec.Struct):
-    """What a shard says of draws that were rejected: counts by reason."""
+    """Attribute `rejected` of a shard: numbers of rejected draws by reason."""
 
     worlds: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
     viewpoints: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
 
 
 class Chunks:
-    """The chunks of a dataset in an open HDF5 file, read as they are stored.
+    """Chunks of an HDF5 dataset, read in their stored form.
 
-    Their filters are undone here: HDF5's own are slower, and take whatever comes out of them for
-    the values. Raises ValueError for a dataset that is not stored in chunks of its file, or by
-    other filters than `FILTERS`.
+    Filters are undone here, as HDF5's own are slower, and accept output of any length.
+
+    Args:
+        dataset: The HDF5 dataset.
+
+    Raises:
+        ValueError: if it is not stored in chunks in its file, or uses filters other than `FILTERS`.
     """
 
     def __init__(self, dataset: h5py.h5d.DatasetID):
         plan = dataset.get_create_plist()
-        if plan.get_layout() != h5py.h5d.CHUNKED:  # but by other files, for example
+        # other layouts may refer to external files
+        if plan.get_layout() != h5py.h5d.CHUNKED:
             raise ValueError("is not stored in chunks")
         self.filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
-        """HDF5's numbers of them, in the order of writing."""
+        """HDF5's numbers of its filters, in the order of writing."""
         if not set(self.filters) <= FILTERS or len(set(self.filters)) < len(self.filters):
             raise ValueError(
                 f"has filters {self.filters}, expected only gzip (1), shuffle (2) and "
@@ -86,28 +102,32 @@ class Chunks:
             )
         self.dataset, self.dtype, self.shape = dataset, dataset.dtype, dataset.shape
         self.chunk: tuple[int, ...] = plan.get_chunk()
-        """Shape of one."""
+        """Shape of a chunk."""
         self.bytes = self.dtype.itemsize * math.prod(self.chunk)
-        """Of one, unpacked."""
+        """Unpacked size of a chunk."""
 
     def read(self, offset: tuple[int, ...]) -> bytes:
-        """The bytes of the chunk whose first element is at `offset`. Raises one of `READ_ERRORS`
-        unless as many come out as there must."""
-        left_out, data = self.dataset.read_direct_chunk(offset)
+        """Read the chunk whose first element is at `offset`.
+
+        Raises:
+            ValueError: if it does not unpack to the expected size; or another of `READ_ERRORS`.
+        """
+        skipped_filters, data = self.dataset.read_direct_chunk(offset)
         if len(data) > self.bytes + self.bytes // 100 + 1000:
             raise ValueError(f"{len(data)} bytes are stored for {self.bytes}")
-        for place in reversed(range(len(self.filters))):  # the last one first
-            if left_out >> place & 1:
+        for position in reversed(range(len(self.filters))):  # undo the last filter first
+            if skipped_filters >> position & 1:
                 continue
-            number = self.filters[place]
+            number = self.filters[position]
             if number == FLETCHER32:
-                data = data[:-4]  # its checksum is not looked at: samples' digests are better ones
+                data = data[:-4]  # the checksum is ignored: samples have stronger digests
             elif number == SHUFFLE:
                 data = np.frombuffer(data, np.uint8).reshape(self.dtype.itemsize, -1).T.tobytes()
             elif number == DEFLATE:
-                unpacking = isal.isal_zlib.decompressobj()
-                data = unpacking.decompress(data, self.bytes + 8)
-                if not unpacking.eof:
+                decompressor = isal.isal_zlib.decompressobj()
+                # a limit on the output: a small chunk could unpack to gigabytes
+                data = decompressor.decompress(data, self.bytes + 8)
+                if not decompressor.eof:
                     raise ValueError("more or fewer bytes than it should")
         if len(data) != self.bytes:
             raise ValueError(f"{len(data)} bytes, expected {self.bytes}")
@@ -116,46 +136,63 @@ class Chunks:
 
 @dataclass(frozen=True, eq=False)
 class ShardFile:
-    """An open shard whose layout is as the format says. Any number of threads may read from it; a
-    process that is forked opens its own. Its file is closed once nobody holds it any more."""
+    """An open shard with a valid layout. Any number of threads may read it; a forked process must
+    open it again. The file is closed when the last reference is gone."""
 
     file: h5py.File
     name: str
     columns: Mapping[str, Chunks]
-    """The file's HDF5 datasets by name: N chunks each, one a sample."""
+    """The file's HDF5 datasets by name, with one chunk for each sample."""
     attributes: Mapping[str, int | str | None]
-    """`ATTRIBUTES`; None for one that is missing, or neither a whole number nor a text."""
+    """`ATTRIBUTES`; None for one that is missing, or neither an integer nor text."""
 
     def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
-        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can
-        be written.
+        """Read a field of one sample.
 
-        Raises BrokenError for a chunk that does not unpack to just what it should.
+        Args:
+            name: The field.
+            row: Number of the sample in the shard.
+            read_only: Whether the array may be read-only, which saves a copy. Kernels are compiled
+                for writable arrays.
+
+        Returns:
+            An array, or a scalar.
+
+        Raises:
+            BrokenError: if the chunk cannot be unpacked, or a flag is neither 0 nor 1.
         """
         column, where = self.columns[name], f"{self.name}: sample {row}: {name}"
         with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=READ_ERRORS):
             raw = column.read((row,) + (0,) * (len(column.shape) - 1))
-        flags = column.dtype == np.bool_
+        is_bool = column.dtype == np.bool_
         values = np.frombuffer(
-            raw if read_only else bytearray(raw), np.uint8 if flags else column.dtype
+            raw if read_only else bytearray(raw), np.uint8 if is_bool else column.dtype
         )
-        if flags and values.max(initial=0) > 1:
+        if is_bool and values.max(initial=0) > 1:
             raise BrokenError(f"{where} holds bytes other than 0 and 1")
         # a single value is a number, and no array
         return values.view(column.dtype).reshape(column.shape[1:])[()]
 
     def column(self, name: str) -> np.ndarray:
-        """A field of all samples, (N, ...). Raises BrokenError."""
+        """Read a field of all samples, (N, ...). Raises BrokenError."""
         rows = range(self.columns[name].shape[0])
         return np.stack([self.value(name, row, read_only=True) for row in rows])
 
     def check(self, row: int) -> None:
-        """Raise BrokenError unless a sample has the digest that stands beside it; fields that
-        follow from others have no part in it."""
-        nothing: dict[str, Any] = {name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED}
+        """Compare a sample with its stored digest. Derived fields are not covered.
+
+        Args:
+            row: Number of the sample in the shard.
+
+        Raises:
+            BrokenError: if they differ.
+        """
+        placeholders: dict[str, Any] = {
+            name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED
+        }
         stored = [name for name in self.columns if name not in (DIGEST, *DERIVED)]
         values = {name: self.value(name, row, read_only=True) for name in stored}
-        sample = Sample(**nothing, **values)
+        sample = Sample(**placeholders, **values)
         if sample.sha256() != self.value(DIGEST, row).tobytes():
             raise BrokenError(
                 f"{self.name}: sample {row}: its content does not have the digest stored beside it"
@@ -163,14 +200,21 @@ class ShardFile:
 
     @property
     def stray_bytes(self) -> int:
-        """Bytes of the file beyond those of samples and what the format needs at most: an index
-        entry a chunk, and some kilobytes."""
+        """Bytes of the file beyond its chunks and the overhead of the format (an index entry for
+        each chunk, and some kilobytes)."""
         stored = sum(column.dataset.get_storage_size() for column in self.columns.values())
         entries = sum(column.shape[0] for column in self.columns.values())
         return max(self.file.id.get_filesize() - stored - 200 * entries - (1 << 20), 0)
 
     def check_origin(self, **expected: int | str) -> None:
-        """Raise BrokenError where an attribute of the shard is not as `expected`."""
+        """Compare attributes with the manifest.
+
+        Args:
+            expected: Expected values by the attribute's name.
+
+        Raises:
+            BrokenError: if one differs.
+        """
         for name, value in expected.items():
             if self.attributes[name] != value:
                 raise BrokenError(
@@ -180,18 +224,22 @@ class ShardFile:
                 )
 
     def rejected(self) -> dict[str, Counter[str]]:
-        """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
+        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises BrokenError."""
         text = self.attributes["rejected"]
         fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
-        failed = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors
-        with raised_as(lambda _: BrokenError(fault), of=failed):
+        errors = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors
+        with raised_as(lambda _: BrokenError(fault), of=errors):
             counts = msgspec.json.decode(str(text), type=Rejected)
         return {"worlds": Counter(counts.worlds), "viewpoints": Counter(counts.viewpoints)}
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, and no pipe that would never end; in a mirror, fetched before. Raises
-    BrokenError, and StoreError."""
+    """Open a regular file; in a mirror, it is fetched first.
+
+    Raises:
+        BrokenError: if it is missing or cannot be read.
+        StoreError: if it cannot be fetched.
+    """
     fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
     with raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError)):
         fetch(path)
@@ -199,26 +247,36 @@ def open_file(path: Path) -> BufferedReader:
 
 
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
-    """Raise BrokenError unless the file called `name` has the SHA-256 that the manifest lists."""
+    """Compare a file with the manifest.
+
+    Args:
+        file: The open file.
+        name: Its name, for messages.
+        sha256: The SHA-256 in the manifest.
+
+    Raises:
+        BrokenError: if they differ.
+    """
     if sha256_in(file) != sha256:
         raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 
 def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
-    """The shard at `path`, opened for reading.
+    """Open a shard for reading.
 
     Args:
-        path: A file of this machine.
-        samples: How many samples it has to hold.
-        layout: The datasets that it has to hold, and no others.
+        path: A local file.
+        samples: Expected number of samples.
+        layout: Expected HDF5 datasets; others are refused.
 
     Raises:
-        BrokenError: The file is missing, damaged, or laid out in another way.
+        BrokenError: if the file is missing, damaged, or has another layout.
     """
     with open_file(path) as file:
         size, limit = size_of(file), most_bytes(layout, samples)
     if size > limit:
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {limit} at most")
+    # the size is checked first, so that HDF5 never opens a file of unexpected size
     with raised_as(BrokenError, f"{path.name}: is damaged: ", of=READ_ERRORS):
         # HDF5's cache of chunks, which `Chunks` reads past, would take 0.7 MB a shard
         opened = h5py.File(path, "r", rdcc_nbytes=0, rdcc_nslots=1)
@@ -230,10 +288,10 @@ def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
 
 
 def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardFile:
-    """The shard in `file`, which errors call `name`."""
-    if odd := sorted(set(file) ^ set(layout)):
-        named = ", ".join(short(field)[1:-1] for field in odd)
-        raise BrokenError(f"{name}: {named}: there or missing, expected just {', '.join(layout)}")
+    """Check the layout of an open file. `name` is its name in messages."""
+    if unexpected := sorted(set(file) ^ set(layout)):
+        listed = ", ".join(short(field)[1:-1] for field in unexpected)
+        raise BrokenError(f"{name}: {listed}: there or missing, expected just {', '.join(layout)}")
     columns = {}
     for field, (dtype, shape) in layout.items():
         where = f"{name}: {field}"
@@ -245,6 +303,7 @@ def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardF
                 f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
                 "sensor's shape"
             )
+        # other chunks could make reading one sample unpack the whole file
         if column.chunk != (1, *shape):
             raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
         if (stored := column.dataset.get_num_chunks()) != samples:
@@ -254,7 +313,7 @@ def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardF
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.h5d.DatasetID:
-    """The dataset called `name`. Raises ValueError where that is something else."""
+    """Open an HDF5 dataset. Raises ValueError if the name is a link or another object."""
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         raise ValueError("is a link to elsewhere; only data of its own may be in a shard")
     dataset = h5py.h5o.open(file.id, name.encode())

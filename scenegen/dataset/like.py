@@ -1,5 +1,5 @@
-"""`generate --like`: a dataset again by its manifest, which is its recipe, or its worlds and poses
-seen by another sensor, or with other noise."""
+"""`generate --like`: repeat a dataset from its manifest, or scan its worlds and poses with another
+sensor or noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,11 +45,21 @@ from scenegen.worlds.world import AnyWorld
 def fly_again(
     world: AnyWorld, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
 ) -> list[list[Pose]]:
-    """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
-    its own first: the unit's flight is planned again, and known by its passing all of them, to the
-    bit.
+    """Repeat the flight of a unit, to find the poses of earlier scans that were not stored.
 
-    Raises GenerationError where no draw's flight does.
+    The flight is recognised by its passing exactly through all stored positions.
+
+    Args:
+        world: The world.
+        poses: Stored pose of each sample.
+        recipe: Gives the flight, and the mapping that needs earlier scans.
+        key: Key of the unit's random numbers.
+
+    Returns:
+        For each sample its own pose, then those of earlier scans, latest first.
+
+    Raises:
+        GenerationError: if no draw gives this flight.
     """
     for attempt in range(recipe.accept.max_draws):
         rng = key.rng(FLIGHT, attempt)
@@ -60,6 +70,7 @@ def fly_again(
             route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
             positions, _ = route.at(passed)
             places = [np.flatnonzero((positions == pose.position).all(axis=1)) for pose in poses]
+            # compared to the last bit: a similar flight would be another one
             if all(len(place) == 1 for place in places):
                 return [
                     [pose, *route.before(passed[place[0]], recipe.mapping)]
@@ -82,12 +93,22 @@ def scan_again(
     derived: bool = True,
     engine: EngineFactory,
 ) -> Unit:
-    """The unit whose flight through `world` had these sensor `poses`, as the recipe's sensor and
-    noise see it: of each sample its own, and then those of its earlier scans, the last one first.
+    """Scan the viewpoints of a unit again, with the recipe's sensor and noise.
 
-    `names` are the world's number and the first sample's viewpoint. Nothing is drawn but the noise,
-    and nothing is rejected. With what the unit was drawn with, the same samples come out, bit for
-    bit. Raises GenerationError.
+    Only noise is random, and nothing is rejected. With the settings of the original dataset, the
+    same samples result, bit for bit.
+
+    Args:
+        world: The world.
+        poses: Poses of each sample's scans: its own, then earlier ones, latest first.
+        recipe: Gives sensor, noise, mapping and grid.
+        key: Key of the unit's random numbers.
+        names: Number of the world, and number of the first sample's viewpoint.
+        derived: Whether samples have `tudf`.
+        engine: Makes the engine that casts rays.
+
+    Raises:
+        GenerationError: if a scan fails.
     """
     caster = world.caster(engine)
     views = []
@@ -100,65 +121,72 @@ def scan_again(
 
 @dataclass(frozen=True, eq=False)
 class Archived(Source):
-    """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
+    """Worlds of a dataset as a `Source`: read from its archives, never drawn."""
 
     folder: Path
 
     @cached_property
     def dataset(self) -> Dataset:
-        """The dataset, opened once a process, and checked: what comes of it would hide its
-        faults."""
+        """The dataset, opened once per process. It is checked while it is read, as new data would
+        hide its faults."""
         return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {"folder": self.folder}
 
     def describe(self) -> Json:
-        """See `Source.describe`."""
+        """Worlds from files as in the original's manifest; see `Source.describe`."""
         scenes = to_json(self.dataset.manifest)["scenes"]
         return scenes or {}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """See `Source.number`."""
+        """Find the world of a unit; see `Source.number`.
+
+        Returns:
+            Number of the world in its split, and how many earlier units visit it.
+        """
         numbering = self.dataset.manifest.numbering(split)
         world, viewpoint = numbering.name(unit * numbering.viewpoints)
         return world, viewpoint // numbering.viewpoints
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
-        """See `Source.world`; nothing is drawn."""
+        """Read a world; see `Source.world`. Nothing is drawn.
+
+        Returns:
+            The world.
+        """
         return self._world(split, number)
 
-    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
+    @lru_cache(maxsize=8)  # noqa: B019 (several flights visit a world from a file)
     def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
 
 
 @dataclass(frozen=True)
 class ScanAgain(ShardSpec):
-    """A shard of a dataset that is scanned again."""
+    """A shard whose units are scanned again."""
 
     def draw(self, unit: int) -> Unit:
-        """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and
-        noise."""
+        """Scan the original's unit again with the recipe's sensor and noise; see `Units.draw`."""
         source: Any = self.source
-        dataset, each = source.dataset, self.recipe.flight.viewpoints
-        samples = dataset.split(self.split)[unit * each : (unit + 1) * each]
+        dataset, viewpoints = source.dataset, self.recipe.flight.viewpoints
+        samples = dataset.split(self.split)[unit * viewpoints : (unit + 1) * viewpoints]
         number, turn = source.number(self.split, unit)
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)
-        mapping, there = self.recipe.mapping, dataset.manifest.mapping
-        odd = f"{dataset.folder}: {self.split} sample: "
-        with raised_as(DatasetError, odd, "; verify the dataset"):
-            poses = [[scan.pose for scan in one.scans()[: mapping.scans]] for one in samples]
-        if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
-            own = [stored[0] for stored in poses]
-            poses = fly_again(world, own, self.recipe, key)
+        mapping, original = self.recipe.mapping, dataset.manifest.mapping
+        prefix = f"{dataset.folder}: {self.split} sample: "
+        with raised_as(DatasetError, prefix, "; verify the dataset"):
+            poses = [[scan.pose for scan in sample.scans()[: mapping.scans]] for sample in samples]
+        if mapping.scans > original.scans or mapping.scan_spacing_m != original.scan_spacing_m:
+            own_poses = [stored[0] for stored in poses]
+            poses = fly_again(world, own_poses, self.recipe, key)
         return scan_again(
             world,
             poses,
             self.recipe,
             key,
-            names=(number, turn * each),
+            names=(number, turn * viewpoints),
             derived=self.derived,
             engine=find_engine(self.engine),
         )
@@ -175,25 +203,27 @@ def plan_like(
     engine: str | None = None,
     **options: Any,
 ) -> Plan:
-    """Plan in `folder` a dataset like another one.
+    """Plan a dataset like another one. Settings that are not given are copied.
 
-    What is not given is as in that one. Where nothing is given, and its worlds were drawn, they are
-    drawn again by its recipe and seed: the samples are the same, bit for bit. Else its worlds are
-    scanned again from the same poses; where more earlier scans are asked for, or others, its
-    flights are planned again, for these alone.
+    Without changes, drawn worlds are drawn again by recipe and seed: the samples are the same, bit
+    for bit. Otherwise the worlds are scanned again from the same poses. Flights are repeated only
+    if more earlier scans, or other ones, are needed.
 
     Args:
-        name: The dataset; or its manifest, where nothing but the recipe is needed.
-        folder: Where the new one is to be.
-        kind: The dataset's kind, where it is a user's own, so that its module may be imported.
+        name: The dataset; or its manifest, if worlds are drawn again.
+        folder: Location of the new dataset.
+        kind: Name of the dataset's kind if it is a user's own, which allows importing its module.
         lidar: Another sensor.
-        noise: Other noise; empty for none.
-        mapping: Some parameters of a `Mapper`.
-        engine: What casts the rays.
-        options: Others of `plan_dataset`: `counts`, where worlds are drawn again; `compact`.
+        noise: Other noise; an empty chain for none.
+        mapping: Changed parameters of the `Mapper`.
+        engine: Name of another engine.
+        options: As for `plan_dataset`: `counts`, if worlds are drawn again; `compact`.
+
+    Returns:
+        The plan.
 
     Raises:
-        DatasetError: There is no such dataset, or this scenegen would make another one.
+        DatasetError: if there is no such dataset, or this version would make another one.
     """
     path = locate(name)
     is_file = path.is_file()
@@ -213,10 +243,10 @@ def plan_like(
             f"{name}: its noise, {short(original.noise_stages)}, has stages that are none of "
             "scenegen's own, which are not imported because a manifest names them; give --noise"
         )
-    if odd := sorted({"tilt_mps", "settle_s", "most_tilt_deg"} & set(mapping or {})):
+    if pose_settings := sorted({"tilt_mps", "settle_s", "most_tilt_deg"} & set(mapping or {})):
         raise DatasetError(
-            f"{name}: its samples keep their poses, and {odd[0]} would tilt others; generate a "
-            "dataset with it"
+            f"{name}: its samples keep their poses, and {pose_settings[0]} would tilt others; "
+            "generate a dataset with it"
         )
     engine = engine or original.engine
     find_engine(engine)
@@ -251,7 +281,7 @@ def plan_like(
         )
     if not original.complete:
         raise DatasetError(f"{name}: is incomplete; give the command that made it again")
-    # what worlds were drawn by stays, also where their kind is not known here
+    # the entry of the worlds stays as it was, even if their kind is not installed here
     drawn_by = {
         field: getattr(original.tables, field)
         for field in ("kind", "version", "difficulty", "world", "flight", "accept")
@@ -268,7 +298,7 @@ def plan_like(
 
 
 def _manifest_of(path: Path, kind: str | None) -> Manifest:
-    """The manifest of a dataset, or in a file. Raises DatasetError."""
+    """Read the manifest of a dataset folder or file. Raises DatasetError."""
     folder = path.parent if path.is_file() else path
     original = manifest.load(folder)
     if kind is not None:
@@ -279,13 +309,21 @@ def _manifest_of(path: Path, kind: str | None) -> Manifest:
 
 
 def check_same(original: Manifest, name: str | Path) -> None:
-    """Raise DatasetError where this scenegen draws other worlds of the same recipe."""
-    here = {"generator": GENERATOR}
+    """Check that this version draws the same worlds from the same recipe.
+
+    Args:
+        original: Manifest of the dataset.
+        name: Its name, for messages.
+
+    Raises:
+        DatasetError: if the generator or the kind has changed.
+    """
+    current = {"generator": GENERATOR}
     stored = {"generator": original.generator}
     if original.is_drawn:
-        here["recipe.version"] = original.recipe.version
+        current["recipe.version"] = original.recipe.version
         stored["recipe.version"] = original.tables.version
-    if lines := differences(stored, here, ("there", "here")):
+    if lines := differences(stored, current, ("there", "here")):
         made_by = original.software.get("scenegen", "of another version")
         raise DatasetError(
             f"{name}: scenegen {__version__} would not make the same dataset again "

@@ -1,8 +1,8 @@
-"""Parameters as plain values, in a manifest and in a recipe file: how they are checked and
-compared; the entries of a sensor, of noise and of maps; and a recipe as TOML.
+"""Parameters as plain values, in manifests and recipe files: checks, comparisons, the entries of
+sensor, noise and mapping, and recipes as TOML.
 
-A sensor in a manifest is a raster's parameters, or the digest of a table of rays, which lies in the
-dataset's folder as `rays.npy`.
+A sensor's entry in a manifest has the parameters of a raster, or the digest of a table of rays, the
+file `rays.npy` in the dataset's folder.
 """
 
 import json
@@ -31,16 +31,21 @@ if TYPE_CHECKING:
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON would give it back."""
+    """Convert a value to JSON types."""
     return json.loads(json.dumps(value))
 
 
 def configured(config: Any, table: Any, where: str) -> Any:
-    """The dataclass `config` of a `table` of its fields; errors name `where` in the file that is.
+    """Make a dataclass from a table.
+
+    Args:
+        config: The dataclass.
+        table: Values of its fields.
+        where: Location of the table in the file, for messages.
 
     Raises:
-        NewerError: The table has other names, too.
-        BrokenError: A value cannot be.
+        NewerError: if the table has unknown names.
+        BrokenError: if a value is invalid.
     """
     known = {item.name for item in fields(config)}
     for name in table:
@@ -55,17 +60,17 @@ def configured(config: Any, table: Any, where: str) -> Any:
 def differences(
     stored: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
 ) -> list[str]:
-    """Where two sets of parameters differ.
+    """Compare two sets of parameters.
 
     Args:
         stored: The first set.
         asked: The second set.
-        words: What the values of the first and of the second set are called.
-        prefix: Stands before every name.
+        words: Words for the two sets in the messages.
+        prefix: Text before every name.
 
     Returns:
-        Lines such as "grid.voxel_m is 0.2 there, 0.1 asked for": nested names are joined by dots,
-        and the items of a list of tables named by their places.
+        Lines such as "grid.voxel_m is 0.2 there, 0.1 asked for". Nested names are joined by dots;
+            items of a list of tables are named by their positions.
     """
     lines = []
     for name in [*stored, *(name for name in asked if name not in stored)]:
@@ -74,30 +79,31 @@ def differences(
             lines += differences(old, new, words, f"{prefix}{name}.")
         elif old != new:
             lines.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_shown(old)} {words[0]}, "
-                f"{_shown(new)} {words[1]}"
+                f"{short(f'{prefix}{name}')[1:-1]} is {_short_json(old)} {words[0]}, "
+                f"{_short_json(new)} {words[1]}"
             )
     return lines
 
 
 def _numbered(value: Any) -> Any:
-    """A list of tables as a table of them by their places; anything else as it is."""
+    """Convert a list of tables to a table by position; other values are returned unchanged."""
     tables = isinstance(value, list) and value and isinstance(value[0], dict)
     return dict(enumerate(value)) if tables else value
 
 
-def _shown(value: Any) -> str:
-    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
+def _short_json(value: Any) -> str:
+    """A parameter as JSON, shortened; digests by their first digits."""
     text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 RAYS = "rays.npy"
-"""The file of a table of rays, in a dataset's folder."""
+"""File of a table of rays, in a dataset's folder."""
 
 
 class RaysEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A sensor that is no raster; a recipe's [lidar] takes the same, but for the shape."""
+    """Entry of a sensor that is no raster. A recipe's [lidar] has the same fields without the
+    shape."""
 
     sensor: Literal["table"]
     rays: Literal["rays.npy"]
@@ -108,7 +114,7 @@ class RaysEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 def sensor_entry(sensor: Sensor) -> Json:
-    """What a manifest says of a sensor, as plain JSON values."""
+    """Describe a sensor in a manifest, as JSON values."""
     if isinstance(sensor, Lidar):
         entry: Json = msgspec.json.decode(msgspec.json.encode(asdict(sensor)))
         return entry
@@ -124,11 +130,13 @@ def sensor_entry(sensor: Sensor) -> Json:
 
 
 def _entry_of(entry: Json) -> RaysEntry | Lidar:
-    """A sensor's entry, checked. Raises BrokenError."""
+    """Check a sensor's entry. Raises BrokenError."""
     if "sensor" not in entry:
         lidar: Lidar = configured(Lidar, entry, "recipe.lidar")
         return lidar
-    with raised_as(BrokenError, "recipe.lidar: ", of=ValueError):  # as msgspec's are
+    with raised_as(
+        BrokenError, "recipe.lidar: ", of=ValueError
+    ):  # msgspec's errors are ValueErrors
         table = msgspec.convert(entry, RaysEntry)
         if math.prod(table.shape) > MOST_RAYS:
             raise ValueError(f"shape = {table.shape}: expected {MOST_RAYS} rays at most")
@@ -136,19 +144,27 @@ def _entry_of(entry: Json) -> RaysEntry | Lidar:
 
 
 def check_sensor_entry(entry: Json) -> tuple[tuple[int, ...], float]:
-    """The shape of a sensor's scans, and its range in metres. Raises BrokenError."""
+    """Check a sensor's entry. Returns the shape of its scans and its range, metres. Raises
+    BrokenError."""
     sensor = _entry_of(entry)
     return tuple(sensor.shape), sensor.max_range_m
 
 
 def rays_digest(entry: Json) -> dict[str, str]:
-    """The file of the table of rays that a sensor takes, with its SHA-256; none for a raster."""
+    """Name and SHA-256 of a sensor's table of rays; {} for a raster."""
     return {RAYS: entry["sha256"]} if "sensor" in entry else {}
 
 
 def sensor_of(entry: Json, folder: Path) -> Sensor:
-    """The sensor of an entry, whose table of rays, if it is one, lies in `folder`. Raises
-    BrokenError where that is damaged."""
+    """Make the sensor of an entry.
+
+    Args:
+        entry: The entry.
+        folder: Folder of its table of rays, if it has one.
+
+    Raises:
+        BrokenError: if the entry or the table is damaged.
+    """
     table = _entry_of(entry)
     if isinstance(table, Lidar):
         return table
@@ -170,20 +186,30 @@ def sensor_of(entry: Json, folder: Path) -> Sensor:
 
 
 def write_rays(sensor: Sensor, place: Place) -> None:
-    """Put the table of a sensor's rays where the dataset lies, unless it is there; nothing for a
-    raster."""
+    """Write the table of a sensor's rays, unless it is there. A raster has none.
+
+    Args:
+        sensor: The sensor.
+        place: Location of the dataset.
+    """
     if isinstance(sensor, Lidar):
         return
     content = BeamTable.of(sensor).npy
     with suppress(FileNotFoundError, DatasetError):
+        # a second run must not touch the file
         if read_at(place, RAYS, len(content)) == content:
             return
     create_at(place, RAYS, content)
 
 
 def recipe_text(recipe: RecipeEntry, title: str) -> str:
-    """A recipe file with every parameter of a manifest's recipe, so that no preset's later version
-    changes anything; `title` is its first line."""
+    """Write the recipe of a manifest as a TOML file with every parameter, so that later versions of
+    presets change nothing.
+
+    Args:
+        recipe: The recipe's entry.
+        title: First line of the file.
+    """
     lines = [f"# {title}", f"kind = {_toml(recipe.kind)}"]
     if recipe.difficulty != "medium":
         lines.append(f"difficulty = {_toml(recipe.difficulty)}")
@@ -200,28 +226,38 @@ def recipe_text(recipe: RecipeEntry, title: str) -> str:
         "known": recipe.known,
         "grid": recipe.grid,
     }
-    for name, table in tables.items():
-        if table is not None:
+    for name, values in tables.items():
+        if values is not None:
             lines += ["", f"[{name}]"]
-            lines += [f"{_key(key)} = {_toml(value)}" for key, value in table.items()]
+            lines += [f"{_key(key)} = {_toml(value)}" for key, value in values.items()]
     return "\n".join([*lines, ""])
 
 
 def _key(name: str) -> str:
-    """A key in TOML: a manifest's may come from a stranger, and must not add lines of its own."""
+    """Write a key in TOML. A manifest's keys may be untrusted, and must not add lines."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name, re.ASCII) else _toml(name)
 
 
 def _toml(value: Any) -> str:
-    """A plain value in TOML."""
+    """Write a plain value in TOML."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
 def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
-    """What a manifest says of noise on a sensor of that range; None without stages. Raises
-    BrokenError for noise that no manifest can hold."""
+    """Describe noise in a manifest.
+
+    Args:
+        noise: The chain of noise.
+        max_range_m: Range of the sensor, metres.
+
+    Returns:
+        The entry; None without stages.
+
+    Raises:
+        BrokenError: if no manifest can describe it.
+    """
     if not noise.stages:
         return None
     bound_m = noise.bound_m(max_range_m)
@@ -235,5 +271,6 @@ def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
 
 
 def mapping_entry(mapping: Mapper) -> Json:
-    """Every parameter of how maps are made; those of the default for what is the same."""
+    """Describe a mapper in a manifest. All mappers that act as the default have the default's
+    parameters."""
     return plain(asdict(Mapper() if mapping.plain else mapping))

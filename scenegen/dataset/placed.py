@@ -1,5 +1,5 @@
-"""Shards as they are written and found again, in a folder or at a store: notes of jobs, and the
-report beside each shard of a store."""
+"""Shards in a folder or at a store: written, and found again by notes of jobs or by reports beside
+shards."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,30 +17,43 @@ from scenegen.dataset.schema import ShardEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
-"""What they are called."""
+"""Names of notes."""
 
 
 class Note(msgspec.Struct):
-    """What a job wrote of a dataset."""
+    """Shards that one job wrote."""
 
     parameters: str
-    """The dataset's fingerprint."""
+    """Fingerprint of the dataset."""
     shards: list[ShardEntry]
 
 
 def write_note(
     folder: Path, parameters: str, part: Sequence[str], reports: Sequence[ShardReport]
 ) -> None:
-    """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
-    fingerprint is `parameters`."""
+    """Record the shards of a job.
+
+    Args:
+        folder: Folder of the dataset.
+        parameters: Fingerprint of the dataset.
+        part: Files of all shards of the job; they determine the name of the note.
+        reports: Reports of the finished shards.
+    """
     name = sha256_of("\n".join(part).encode())[:12]
     note = Note(parameters=parameters, shards=[report.entry for report in reports])
     write_whole(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
 
 
 def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
-    """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not
-    there."""
+    """Read the notes of all jobs. Damaged notes are ignored.
+
+    Args:
+        folder: Folder of the dataset.
+        parameters: Fingerprint of the dataset. Notes of others are ignored.
+
+    Returns:
+        Entries of finished shards, by file.
+    """
     entries: dict[str, ShardEntry] = {}
     for path in folder.glob(NOTES):
         with suppress(OSError, msgspec.MsgspecError, RecursionError, DatasetError):
@@ -51,34 +64,41 @@ def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
 
 
 def remove_notes(folder: Path) -> None:
-    """Delete them: the manifest lists everything."""
+    """Delete all notes, once the manifest lists every shard."""
     for path in folder.glob(NOTES):
         path.unlink(missing_ok=True)
 
 
 SUFFIX = ".report.json"
 AT_A_TIME = 16
-"""Reports that are fetched at the same time."""
+"""Number of concurrent requests."""
 MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
 class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
-    """The report beside a shard of a store."""
+    """Report beside a shard at a store."""
 
     parameters: str
-    """The dataset's fingerprint."""
+    """Fingerprint of the dataset."""
     entry: ShardEntry
     size: int
-    """Bytes of both objects."""
+    """Size of both objects, bytes."""
     rejected: dict[str, dict[str, int]]
     digests: str
-    """The samples' own SHA-256s, in hexadecimal."""
+    """SHA-256 of the samples, in hexadecimal."""
 
 
 def write_shard(place: Place, task: ShardSpec) -> ShardReport:
-    """Write a shard; at a store, a report beside it. Pure but for its files.
+    """Write a shard; at a store, also a report.
 
-    Raises GenerationError, DatasetError, StoreError.
+    Args:
+        place: Location of the dataset.
+        task: The shard.
+
+    Raises:
+        GenerationError: if a sample cannot be drawn.
+        DatasetError: if the folder cannot be written.
+        StoreError: if the store cannot be written.
     """
     report = task.write(place)
     if isinstance(place, Store):
@@ -87,7 +107,15 @@ def write_shard(place: Place, task: ShardSpec) -> ShardReport:
 
 
 def report_at(place: Place, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
-    """`read_report` of a shard in a folder or at a store, of which the files are fetched."""
+    """Read the report of a shard; see `read_report`. Files at a store are fetched.
+
+    Args:
+        place: Location of the dataset.
+        task: The shard, and its entry in the manifest, if it has one.
+
+    Returns:
+        The report; None if there is no such shard, or it is damaged.
+    """
     with _at_hand(place, task[0]) as folder:
         return read_report(folder, task)
 
@@ -97,18 +125,18 @@ def find_reports(
     sizes: Mapping[str, int | None],
     tasks: Sequence[tuple[ShardSpec, ShardEntry | None]],
 ) -> Iterator[ShardReport | None]:
-    """Reports of shards at a store, in order; None for one that is not as it should be.
+    """Yield reports of shards at a store, in order; None for a shard that is damaged.
 
-    A shard is not fetched if the report beside it is of objects of these sizes: stores keep what
-    they took. Any other is read, and removed if it is damaged.
+    A shard is not fetched if a report beside it has the same sizes, as stores keep what they
+    accepted. Other shards are read, and removed if they are damaged.
 
     Args:
-        store: Where the shards are.
-        sizes: Bytes of all objects by name.
-        tasks: Shards, each with its entry in the manifest, if it is listed.
+        store: The store.
+        sizes: Sizes of all objects, bytes, by name.
+        tasks: Shards, each with its entry in the manifest, if it has one.
 
     Raises:
-        StoreError: The store does not answer. Nothing is removed then.
+        StoreError: if the store does not answer. Nothing is removed then.
     """
 
     def find(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
@@ -131,7 +159,7 @@ def find_reports(
 
 @contextmanager
 def _at_hand(place: Place, task: ShardSpec) -> Iterator[Path]:
-    """A folder of this machine with a shard's files, as far as there are any."""
+    """Give a local folder with the files of a shard, as far as they exist."""
     if isinstance(place, Path):
         yield place
         return
@@ -153,7 +181,7 @@ def _put_report(store: Store, task: ShardSpec, report: ShardReport) -> None:
         parameters=task.parameters,
         entry=report.entry,
         size=report.size,
-        rejected={what: dict(counts) for what, counts in report.rejected.items()},
+        rejected={subject: dict(counts) for subject, counts in report.rejected.items()},
         digests=report.digests.hex(),
     )
     store.put(_report_name(task), msgspec.json.encode(placed))
@@ -162,13 +190,14 @@ def _put_report(store: Store, task: ShardSpec, report: ShardReport) -> None:
 def _read_report(
     store: Store, task: ShardSpec, sizes: Mapping[str, int | None]
 ) -> ShardReport | None:
-    """What the report beside a shard says, if it is of objects of these sizes."""
+    """Read the report beside a shard; None if it does not fit the shard or the sizes of its
+    objects."""
     if _report_name(task) not in sizes:
         return None
     with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError):
         content = store.read(_report_name(task), MAX_REPORT_BYTES)
         placed = msgspec.json.decode(content, type=PlacedReport)
-        rejected = {what: Counter(counts) for what, counts in placed.rejected.items()}
+        rejected = {subject: Counter(counts) for subject, counts in placed.rejected.items()}
         digests = bytes.fromhex(placed.digests)
         report = report_of(task, placed.entry.sums, placed.size, rejected, digests)
         stored = sum(sizes.get(name) or 0 for name in (task.file, task.worlds))

@@ -1,4 +1,4 @@
-"""What stands in `dataset.json`: the schema of the file, and nothing else."""
+"""Schema of `dataset.json`."""
 
 import re
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from scenegen.base.limits import (
 NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 2
-"""The version of the format. Whatever an earlier scenegen would misread raises it."""
+"""Version of the format. It is raised when an earlier scenegen would misread new files."""
 
 Count = Annotated[int, Meta(ge=0, le=MOST_SAMPLES)]
 Seed = Annotated[int, Meta(ge=0, le=MOST_SEED)]
@@ -28,19 +28,20 @@ Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 SHARD_FILE = re.compile(
     r"(?:((?:train|val|test)-[0-9]+)x+/(?=\1))?(train|val|test)-([0-9]{5,9})(\.h5|\.worlds\.zip)"
 )
-"""Where a file of a shard lies: train-00000.h5, or train-01xxx/train-01000.worlds.zip."""
+"""Names of a shard's files: train-00000.h5, or train-01xxx/train-01000.worlds.zip."""
 FileName = Annotated[str, Meta(pattern=rf"\A(?:{SHARD_FILE.pattern})\Z")]
 INDEX_DIGITS = 3
-"""So many last digits tell the shards of one folder apart: the first thousand lie in the dataset's
-own, every further thousand in one of theirs. The Hugging Face Hub takes 10,000 entries a folder."""
+"""Number of final digits that distinguish shards of one folder. The first thousand shards lie in
+the dataset's folder, every further thousand in a subfolder: the Hugging Face Hub allows 10,000
+entries in a folder."""
 
 
 class _Table(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the file: of known names alone."""
+    """A table of the file, without unknown names."""
 
 
 class ShardEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A shard, as the manifest lists it."""
+    """A shard in the manifest."""
 
     file: FileName
     worlds: FileName
@@ -52,55 +53,55 @@ class ShardEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def sums(self) -> tuple[str, str]:
-        """The SHA-256 of its two files."""
+        """SHA-256 of its two files."""
         return self.sha256, self.worlds_sha256
 
     @property
     def index(self) -> int:
-        """Its number within its split."""
+        """Position in its split."""
         match = SHARD_FILE.fullmatch(self.file)
         assert match is not None
         return int(match[3])
 
 
 class NoiseEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The noise of a dataset."""
+    """Noise of a dataset."""
 
     stages: Annotated[str, Meta(pattern=r"\A[ -~]{1,4000}\Z")]
-    """Stages of noise, as `lidarsim.noise` writes them."""
+    """Stages of noise in the notation of `lidarsim.noise`."""
     bound_m: Annotated[float, Meta(ge=0)] | None
-    """How far a return may lie from its true place, metres; None where nothing bounds that."""
+    """Maximum distance of a return from its true place, metres; None if it is unbounded."""
     version: Annotated[int, Meta(ge=1, le=MOST_SEED)]
-    """`lidarsim.noise.VERSION` when it was made."""
+    """`lidarsim.noise.VERSION` of the software that made the dataset."""
 
 
 class SceneEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A world that was given as a file."""
+    """A world from a file."""
 
     file: Annotated[str, Meta(max_length=1000)]
     sha256: Digest
 
 
 class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Every parameter of the recipe, by table, as in a recipe's TOML file."""
+    """All parameters of the recipe, by table, as in a recipe's TOML file."""
 
     kind: Annotated[str, Meta(pattern=rf"\A(?=.{{1,{MOST_KIND_NAME}}}\Z)\w[\w.-]*(?::\w+)?\Z")]
     version: Seed = 0
-    """The version of the kind's preset; 0 for worlds from files."""
+    """Version of the kind's preset; 0 for worlds from files."""
     difficulty: Annotated[str, Meta(pattern=r"\A[\w .-]{1,60}\Z")] = "medium"
     world: Json | None = None
     """None for worlds from files."""
     flight: Json
     accept: Json
     lidar: Json
-    """A raster's parameters; of other sensors the digest of the table of their rays."""
+    """Parameters of a raster; for other sensors, the digest of their table of rays."""
     grid: Json
     noise: NoiseEntry | None = None
     mapping: Json
     known: Json | None = None
-    """How much must be known of maps of real places; None where no world is one."""
+    """Thresholds for known space in maps of real places; None if there are none."""
     parts: dict[str, Json] = {}
-    """Parts of samples that were asked for, each with its settings: see `scenegen.draw.parts`."""
+    """Settings of optional parts of samples, by name: see `scenegen.draw.parts`."""
 
 
 class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -109,33 +110,37 @@ class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
     format: Literal["scenegen-dataset"] = "scenegen-dataset"
     version: Literal[2] = 2
     generator: Annotated[int, Meta(ge=1, le=MOST_SEED)]
-    """`scenegen.GENERATOR` when it was made."""
+    """`scenegen.GENERATOR` of the software that made the dataset."""
     seed: Seed
     counts: dict[SplitName, Count]
-    """Samples that each split is to hold."""
+    """Number of samples of each split in the complete dataset."""
     tables: RecipeEntry = msgspec.field(name="recipe")
     scenes: dict[SplitName, list[SceneEntry]] | None = None
-    """The worlds of each split that were given as files; None where the recipe drew them."""
+    """Worlds of each split from files; None for drawn worlds."""
     like: Digest | None = None
-    """Digest of the dataset whose worlds and poses were scanned again; None where flights were
-    planned for this one."""
+    """Digest of the dataset whose worlds and poses were scanned again, if any."""
     fields: tuple[str, ...]
-    """Names of the fields that shards store."""
+    """Names of the stored fields."""
     shard_samples: ShardSamples
     engine: Annotated[str, Meta(pattern=r"\A[A-Za-z_][\w.:]{0,199}\Z")]
-    """What cast the rays."""
+    """Name of the engine that cast the rays."""
     software: dict[str, Annotated[str, Meta(max_length=200)]]
     complete: bool = False
     shards: tuple[ShardEntry, ...] = ()
     rejected: dict[Literal["worlds", "viewpoints"], dict[str, Count]] = {}
-    """Draws that were rejected, by reason."""
+    """Numbers of rejected draws, by reason."""
     digest: Digest | None = None
-    """SHA-256 over the digests of all samples; None as long as shards are missing."""
+    """SHA-256 over the digests of all samples; None while shards are missing."""
 
 
 def stem_of(split: str, index: int) -> str:
-    """What the files of a split's shard are called, less their endings. It depends on nothing else,
-    so that a dataset grows and no file moves."""
+    """Name of a shard's files without their endings. It depends on nothing else, so that no file
+    moves when a dataset grows.
+
+    Args:
+        split: Name of the split.
+        index: Position of the shard in its split.
+    """
     stem = f"{split}-{index:05d}"
     if index < 10**INDEX_DIGITS:
         return stem
@@ -143,12 +148,12 @@ def stem_of(split: str, index: int) -> str:
 
 
 def pattern_of(file: str) -> str:
-    """What fits a file's name and those of all others of its sort, in which numbers differ."""
+    """Glob pattern of all files whose names differ from this one in numbers only."""
     return re.sub("-[0-9]+", "-*", file)
 
 
 def to_json(manifest: Document) -> Json:
-    """What stands in the file, as plain JSON values."""
+    """The file's entries as JSON values."""
     return {
         item.encode_name: msgspec.to_builtins(getattr(manifest, item.name))
         for item in msgspec.structs.fields(Document)
@@ -157,14 +162,14 @@ def to_json(manifest: Document) -> Json:
 
 @dataclass(frozen=True, kw_only=True)
 class Numbering:
-    """How the samples of a split are numbered: docs/format.md. A place may be one number, or an
-    array of them."""
+    """How the samples of a split are numbered; see docs/format.md. Positions may be numbers or
+    arrays."""
 
     viewpoints: int
-    """Samples of one flight."""
+    """Number of samples of a flight."""
     scenes: int | None
-    """Worlds from files, which flights visit in turn; None where each flight has a world of its
-    own."""
+    """Number of worlds from files, which flights visit in turn; None if each flight has a new
+    world."""
 
     def name(self, place: Any) -> tuple[Any, Any]:
         """(world, viewpoint) of the sample at `place` in its split."""
@@ -174,6 +179,6 @@ class Numbering:
         return unit % self.scenes, unit // self.scenes * self.viewpoints + view
 
     def count(self, samples: int) -> int:
-        """How many worlds the first so many samples are of."""
+        """Number of worlds of the first `samples` samples."""
         units = -(-samples // self.viewpoints)
         return units if self.scenes is None else min(units, self.scenes)

@@ -1,5 +1,4 @@
-"""Which samples of a dataset are taken: by split, world, number, and by what is measured of one
-sample."""
+"""Select samples of a dataset by split, world, number, and measures of the sample."""
 
 import hashlib
 import io
@@ -30,7 +29,7 @@ from scenegen.truth.difficulty import Difficulty, difficulty
 
 
 def _ranges(sample: Sample) -> Field:
-    """The ranges of all scans of a sample, (scans, *rays), metres."""
+    """Ranges of all scans of a sample, (scans, *rays), metres."""
     earlier = sample.earlier_ranges
     return np.array([sample.ranges, *(() if earlier is None else earlier)])
 
@@ -41,7 +40,7 @@ def _range_m(sample: Sample) -> float:
     return float(hit.mean()) if len(hit) else float("nan")
 
 
-@lru_cache(maxsize=1)  # its measures are asked for one after the other
+@lru_cache(maxsize=1)  # the measures of one sample are computed one after the other
 def _difficulties(sample: Sample) -> Difficulty:
     assert sample.grid is not None
     return difficulty(sample.occupancy, sample.tudf, sample.grid.voxel_m)
@@ -61,17 +60,17 @@ MEASURES: Mapping[str, Callable[[Sample], float]] = {
     "tudf_m": lambda sample: float(sample.tudf.mean()),
     **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
 }
-"""What `inspect` measures of a sample, and `take --where` asks by; nothing of it is stored in one.
-Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
-none; the mean distance of the map's voxels, metres; and how hard the map is."""
+"""Measures of a sample, for `inspect` and `take --where`; none is stored. Shares of voxels; the
+share of rays that returned, and their mean range, metres (NaN for none); the mean distance of
+voxels, metres; and the difficulty of the map."""
 COLUMNS = tuple(MEASURES)
 ROW = np.dtype([(name, "<f8") for name in MEASURES])
-"""A sample in the file of measures."""
+"""Type of a sample's measures in their file."""
 
 NUMBERS = ("sample", "world", "viewpoint")
-"""What can be asked of a sample without reading it: its number in the split, and who it is."""
+"""Properties of a sample that are known without reading it."""
 OF_WORLD = "world_"
-"""Before the name of a measure: its mean over all maps of a sample's world."""
+"""Prefix of a measure: its mean over all samples of the world."""
 SIGNS = {
     "<=": operator.le,
     ">=": operator.ge,
@@ -80,61 +79,63 @@ SIGNS = {
     "=": operator.eq,
 }
 AT_ONCE = 1000
-"""Samples that a worker is given before it is seen whether enough were found."""
+"""Number of samples per worker before the number of matches is checked."""
 DIGEST_BYTES = 32
 MEASURED_AGAIN = 5
-"""So many samples are measured again before measures that are kept are believed."""
+"""Number of samples that are measured again to validate stored measures."""
 
 
 def measures_file(dataset: Dataset) -> Path:
-    """Where `scenegen inspect --keep` puts the measures of all samples of a complete dataset:
-    beside its shards, by its digest, so that those of another dataset are never taken for its
-    own."""
+    """Path of the measures that `scenegen inspect --keep` writes beside a dataset. The name
+    contains the digest, so that measures of another dataset are never used."""
     return dataset.folder / f"figures-{dataset.digest[:16]}.npy"
 
 
 def encode_measures(table: Floats) -> bytes:
-    """The content of that file: the `MEASURES` (samples, measures) of all splits in order, and
-    behind them their SHA-256."""
+    """Encode measures (samples, measures) of all splits in order, followed by their SHA-256."""
     file = io.BytesIO()
     np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
     return file.getvalue() + hashlib.sha256(file.getvalue()).digest()
 
 
 def kept_measures(dataset: AnyDataset) -> dict[str, Floats]:
-    """The measures that are kept beside a dataset, (samples, measures) by split; {} where there are
-    none, or the file is damaged or not as this version writes it.
+    """Read stored measures.
 
-    Of a collection, they are those of its datasets, where all have them.
+    Args:
+        dataset: A dataset, or a collection all of whose datasets have stored measures.
+
+    Returns:
+        Measures (samples, measures) by split; {} if there are none, or the file is damaged or of
+            another version.
 
     Raises:
-        DatasetError: A few samples were measured again, and are not as the file says.
+        DatasetError: if some samples are measured again and differ.
     """
-    tables = {one.folder: _kept_of_one(one) for one in dataset.datasets}
+    tables = {member.folder: _stored_measures(member) for member in dataset.datasets}
     if not all(tables.values()):
         return {}
-    of_dataset = {}
+    by_split = {}
     for name in SPLITS:
         split = dataset.split(name)
         columns = [tables[piece.dataset.folder][name][own_numbers(piece)] for piece in split.pieces]
-        of_dataset[name] = np.concatenate([np.empty((0, len(COLUMNS))), *columns])
-    return of_dataset
+        by_split[name] = np.concatenate([np.empty((0, len(COLUMNS))), *columns])
+    return by_split
 
 
 def own_numbers(piece: Piece) -> Ints:
-    """The numbers, (N,), of a piece's samples in the split of their dataset."""
+    """Numbers (N,) of a piece's samples in the split of their dataset."""
     split = piece.dataset.split(piece.entry.split)
-    first = split.first([one.entry for one in split.pieces].index(piece.entry))
+    first = split.first([other_piece.entry for other_piece in split.pieces].index(piece.entry))
     return first + (np.arange(piece.entry.samples) if piece.rows is None else piece.rows)
 
 
-def _kept_of_one(dataset: Dataset) -> dict[str, Floats]:
-    """See `kept_measures`."""
+def _stored_measures(dataset: Dataset) -> dict[str, Floats]:
+    """Stored measures of one dataset; see `kept_measures`."""
     counts = [len(dataset.split(name)) for name in SPLITS]
     path = measures_file(dataset)
     try:
-        most = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES + DIGEST_BYTES
-        content = read_bounded(path, most)
+        max_bytes = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES + DIGEST_BYTES
+        content = read_bounded(path, max_bytes)
         body, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
         if hashlib.sha256(body).digest() != digest:
             return {}
@@ -160,7 +161,7 @@ def _kept_of_one(dataset: Dataset) -> dict[str, Floats]:
 
 @dataclass(frozen=True)
 class Condition:
-    """A bound of one measure. A measure that a sample does not have fulfils none."""
+    """A bound of one measure. A sample without the measure (NaN) does not satisfy it."""
 
     name: str
     sign: str
@@ -168,7 +169,11 @@ class Condition:
 
     @classmethod
     def of(cls, text: str) -> "Condition":
-        """The condition that is written like ``occupied>=0.05``. Raises ValueError."""
+        """Parse a condition such as ``occupied>=0.05``.
+
+        Raises:
+            ValueError: if it cannot be parsed.
+        """
         number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
         match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=|<|>|=)\s*({number})\s*", text, re.ASCII)
         known = (*NUMBERS, *MEASURES, *(OF_WORLD + name for name in MEASURES))
@@ -183,25 +188,25 @@ class Condition:
         return f"{self.name}{self.sign}{self.value!r}".removesuffix(".0")
 
     def holds(self, values: Any) -> Any:
-        """Whether a number, or each of an array, fulfils it."""
+        """Whether a value, or each of an array, satisfies the condition."""
         return SIGNS[self.sign](values, self.value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Samples to take: all that fulfil every condition, or the first of them."""
+    """Which samples to select."""
 
     splits: tuple[str, ...] = SPLITS
     most: int | None = None
-    """The most samples of each split; None for no bound."""
+    """Maximum number of samples of each split; None for all."""
     kinds: tuple[str, ...] = ()
-    """Kinds of worlds, as "maze", or "maze-hard" for another difficulty; empty for all."""
+    """Kinds of worlds, such as "maze" or "maze-hard"; empty for all."""
     worlds: tuple[tuple[int, int], ...] = ()
-    """Numbers of worlds, (first, one past last) each; empty for all."""
+    """Ranges (first, one past last) of world numbers; empty for all."""
     where: tuple[Condition, ...] = ()
 
     def __str__(self) -> str:
-        """As the command's options say it; what a selection tells of it."""
+        """The choice as options of the command line, which a selection's file records."""
         words = [f"--split {split}" for split in self.splits if self.splits != SPLITS]
         words += [] if self.most is None else [f"--n {self.most}"]
         words += [f"--kind {kind}" for kind in self.kinds]
@@ -210,28 +215,41 @@ class Choice:
 
 
 def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str, Ints]:
-    """The samples of `dataset` that are taken: their numbers in each split, rising.
+    """Select samples. They are read only for conditions on measures that are not stored.
 
-    Samples are read only where something measured is asked for that is not kept beside them, by
-    `workers` processes. Raises DatasetError, also where measures of whole worlds are not kept.
+    Args:
+        dataset: The dataset.
+        choice: Which samples.
+        workers: Number of processes that measure samples.
+
+    Returns:
+        Rising sample numbers of each split.
+
+    Raises:
+        DatasetError: if stored measures are wrong, or those of whole worlds are not stored.
     """
-    conditions = tuple(one for one in choice.where if one.name not in NUMBERS)
-    kept = kept_measures(dataset) if conditions else {}
-    of_worlds = [one.name for one in conditions if one.name not in MEASURES]
-    if of_worlds and not kept:
-        lacking = [one for one in dataset.datasets if not _kept_of_one(one)]
-        commands = [f"scenegen inspect {quote(str(one.folder))} --keep" for one in lacking]
+    conditions = tuple(condition for condition in choice.where if condition.name not in NUMBERS)
+    stored = kept_measures(dataset) if conditions else {}
+    # means over worlds need all samples, so they are not measured on the fly
+    world_measures = [condition.name for condition in conditions if condition.name not in MEASURES]
+    if world_measures and not stored:
+        unmeasured = [
+            condition for condition in dataset.datasets if not _stored_measures(condition)
+        ]
+        commands = [
+            f"scenegen inspect {quote(str(condition.folder))} --keep" for condition in unmeasured
+        ]
         raise DatasetError(
-            f"{dataset.name}: {of_worlds[0]} is a mean over all maps of a world; measure these "
-            f"first: {'; '.join(commands)}"
+            f"{dataset.name}: {world_measures[0]} is a mean over all maps of a world; measure "
+            f"these first: {'; '.join(commands)}"
         )
     numbers = {}
     for name in (name for name in SPLITS if name in choice.splits):
         split = dataset.split(name)
         candidates = _by_number(split, choice)
-        if kept:
+        if stored:
             for condition in conditions:
-                values = measure_of(split, kept[name], condition.name)
+                values = measure_of(split, stored[name], condition.name)
                 candidates = candidates[condition.holds(values[candidates])]
         elif conditions:
             candidates = _by_measuring(split, conditions, candidates, choice.most, workers)
@@ -240,36 +258,36 @@ def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str
 
 
 def _by_number(split: Split, choice: Choice) -> Ints:
-    """The samples of a split that fulfil what can be asked without reading them."""
+    """Samples that satisfy all conditions that are known without reading them."""
     world, viewpoint = split.numbers
     values = {"sample": np.arange(len(split)), "world": world, "viewpoint": viewpoint}
-    kept = np.ones(len(split), bool)
+    mask = np.ones(len(split), bool)
     if choice.kinds:
-        kept[:] = False
-        for kind, of_kind in split.by_kind().items():
-            kept[of_kind] = kind in choice.kinds
+        mask[:] = False
+        for kind, numbers in split.by_kind().items():
+            mask[numbers] = kind in choice.kinds
     if choice.worlds:
         ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
-        kept &= np.any(ranges, axis=0)
+        mask &= np.any(ranges, axis=0)
     for condition in choice.where:
         if condition.name in values:
-            kept &= condition.holds(values[condition.name])
-    return np.flatnonzero(kept)
+            mask &= condition.holds(values[condition.name])
+    return np.flatnonzero(mask)
 
 
 def _by_measuring(
     split: Split,
     conditions: tuple[Condition, ...],
     candidates: Ints,
-    most: int | None,
+    max_samples: int | None,
     workers: int,
 ) -> Ints:
-    """Those of the `candidates` whose measures fulfil the `conditions`; of more than `most`, some
-    may be left out."""
+    """Samples that satisfy the conditions on measures. If more than `max_samples` do, some may be
+    omitted."""
     fulfilling = list[int]()
-    # not all at once: whoever takes the first of them needs no more measured
+    # in chunks: measuring stops when enough samples are found
     for chunk in chunked(candidates.tolist(), workers * AT_ONCE):
-        if most is not None and len(fulfilling) >= most:
+        if max_samples is not None and len(fulfilling) >= max_samples:
             break
         for number, fulfils in run(partial(_fulfils, split, conditions), chunk, workers):
             fulfilling += [number] if fulfils else []
@@ -277,39 +295,57 @@ def _by_measuring(
 
 
 def _fulfils(split: Split, conditions: tuple[Condition, ...], number: int) -> tuple[int, bool]:
-    """The number of a sample, and whether it fulfils the conditions on what is measured."""
+    """Number of a sample, and whether it satisfies the conditions on measures."""
     sample = split[number]
-    return number, all(one.holds(MEASURES[one.name](sample)) for one in conditions)
+    return number, all(
+        condition.holds(MEASURES[condition.name](sample)) for condition in conditions
+    )
 
 
 def measure_of(split: Split, table: Floats, name: str) -> Floats:
-    """A measure of all samples of a split, from the `MEASURES` (samples, measures) of these; NaN
-    for none. Raises DatasetError."""
-    own = table[:, COLUMNS.index(name.removeprefix(OF_WORLD))]
+    """One measure of all samples of a split, or its mean over each sample's world.
+
+    Args:
+        split: The split.
+        table: `MEASURES` (samples, measures) of its samples.
+        name: The measure, perhaps with the prefix `OF_WORLD`.
+
+    Returns:
+        Values (samples,); NaN where there is none.
+    """
+    values = table[:, COLUMNS.index(name.removeprefix(OF_WORLD))]
     if name in MEASURES:
-        return own
-    worlds, here = split.numbers[0], ~np.isnan(own)
-    with np.errstate(invalid="ignore"):  # a world may have none
-        means = np.bincount(worlds, np.where(here, own, 0)) / np.bincount(worlds, here)
+        return values
+    worlds, valid = split.numbers[0], ~np.isnan(values)
+    with np.errstate(invalid="ignore"):  # 0 / 0 gives NaN for a world without values
+        means = np.bincount(worlds, np.where(valid, values, 0)) / np.bincount(worlds, valid)
     return means[worlds]
 
 
 def encode_selection(
     dataset: AnyDataset, numbers: Mapping[str, Ints], choice: Choice, folder: Path
 ) -> bytes:
-    """The content of a selection's file in `folder`: the samples of `dataset` with these `numbers`,
-    which `choice` describes."""
-    chosen: dict[Path, dict[str, list[int]]] = {one.folder: {} for one in dataset.datasets}
-    for name, of_split in numbers.items():
-        for piece in (split := dataset.split(name)).taken(of_split.tolist()):
-            own = own_numbers(piece).tolist()
-            chosen[piece.dataset.folder].setdefault(split.name, []).extend(own)
+    """Encode a selection's file.
+
+    Args:
+        dataset: The dataset.
+        numbers: Selected sample numbers of each split.
+        choice: How they were selected.
+        folder: Folder of the file, from which paths are relative.
+    """
+    chosen: dict[Path, dict[str, list[int]]] = {member.folder: {} for member in dataset.datasets}
+    for name, split_numbers in numbers.items():
+        for piece in (split := dataset.split(name)).taken(split_numbers.tolist()):
+            local_numbers = own_numbers(piece).tolist()
+            chosen[piece.dataset.folder].setdefault(split.name, []).extend(local_numbers)
     datasets = [
         SelectedDataset(
-            path=name_from(folder, one.folder), digest=one.digest, samples=chosen[one.folder]
+            path=name_from(folder, member.folder),
+            digest=member.digest,
+            samples=chosen[member.folder],
         )
-        for one in dataset.datasets
-        if chosen[one.folder]
+        for member in dataset.datasets
+        if chosen[member.folder]
     ]
     document = msgspec.to_builtins(SelectionFile(chosen_by=str(choice), datasets=datasets))
     return (json.dumps(document) + "\n").encode()

@@ -1,4 +1,4 @@
-"""A shard: the unit of work, of writing and of recovery. One file of samples and one archive of
+"""A shard: the unit of work, of writing and of recovery. It has a file of samples and an archive of
 their worlds."""
 
 import io
@@ -30,42 +30,44 @@ from scenegen.draw.source import Source
 from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1
-"""The level of compression: the next one saves a hundredth, the one after takes four times as long
+"""Compression level. The next one saves one percent, the one after takes four times as long
 (docs/log.md)."""
 _FIRST = 4
-"""Bytes of a block that ISA-L is fed before the rest: the fewest that begin its history."""
+"""Bytes that ISA-L gets before the rest of a block: the minimum that starts its history."""
 
 
 Drawn = tuple[Callable[[str], Any], bytes]
-"""A sample that is to be written: what gives its fields by their names, and its digest."""
+"""A sample to write: a function from field names to values, and its digest."""
 
 
 def find_engine(name: str) -> EngineFactory:
-    """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
+    """Factory of an engine.
+
+    Raises:
+        DatasetError: if the engine is not available.
+    """
     with raised_as(DatasetError):
         return ENGINES.find(name).of
 
 
 @dataclass(frozen=True, kw_only=True)
 class Units:
-    """The units of a split: all that they are drawn by, but for their number; small, and can be
-    pickled."""
+    """Units of a split: all that they depend on except their number. Small, and can be pickled."""
 
     recipe: Recipe
     source: Source
     seed: int = 0
     split: str = "train"
     engine: str = DEFAULT
-    """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
+    """Name of the engine that casts rays; see `lidarsim.engines.ENGINES`."""
 
     @property
     def derived(self) -> bool:
-        """Whether samples hold what could be derived."""
+        """Whether samples have derived fields."""
         return False
 
     def draw(self, unit: int) -> Unit:
-        """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is
-        not to be had."""
+        """Draw a unit. Raises GenerationError, and DatasetError if the engine is not available."""
         return draw_unit(
             self.source,
             self.recipe,
@@ -79,62 +81,66 @@ class Units:
 
 @dataclass(frozen=True, kw_only=True)
 class ShardSpec(Units):
-    """A shard that is to be, wherever it is to lie, and all that its samples depend on; small, and
-    can be pickled, so that any process anywhere can write it."""
+    """A shard to write: all that its samples depend on, independent of its location. It is small
+    and can be pickled, so that any process on any machine can write it."""
 
     index: int
-    """The shard's place within its split."""
+    """Position of the shard in its split."""
     samples: int
     first_unit: int
-    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
+    """First of its units, of which there are as many as `numbers`. Their samples are cut to
+    `samples`."""
     numbers: Sequence[int]
-    """Numbers of the worlds of its units; a world may stand there several times."""
+    """World numbers of its units, perhaps repeated."""
     parameters: str
-    """Fingerprint of the dataset; written into the shard, so that it is never taken for another
-    dataset's."""
+    """Fingerprint of the dataset, which is stored in the shard as the mark of its dataset."""
     layout: Layout
-    """What the shard is to hold."""
+    """Layout of the file."""
 
     @property
     def file(self) -> str:
-        """The file of the samples."""
+        """Name of the file of samples."""
         return f"{stem_of(self.split, self.index)}.h5"
 
     @property
     def worlds(self) -> str:
-        """The file of the worlds."""
+        """Name of the archive of worlds."""
         return f"{stem_of(self.split, self.index)}.worlds.zip"
 
     @property
     def derived(self) -> bool:
-        """See `Units`."""
+        """Whether samples have derived fields; see `Units`."""
         return "tudf" in self.layout
 
     def prepare(self, workers: int) -> None:
-        """Compile the kernels, with up to so many processes, which every writing process would else
-        do by itself; hopeless parameters end here."""
+        """Compile kernels before workers start, each of which would otherwise compile them. Invalid
+        parameters fail here.
+
+        `workers` is the number of processes that may be used.
+        """
         with ExitStack() as stack:
             if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
-                other = Worker(partial(compile_truth, self.source, self.recipe))
-                stack.callback(other.end)
-                other.give(self.split)
+                # a second process compiles those that `draw` would come to last
+                compiler = Worker(partial(compile_truth, self.source, self.recipe))
+                stack.callback(compiler.end)
+                compiler.give(self.split)
             self.draw(self.first_unit)
 
     def write(self, place: Place) -> "ShardReport":
-        """Draw its units into memory, a few megabytes, and write them into a folder, or put them at
-        a store. Raises GenerationError, DatasetError, StoreError."""
+        """Draw the units into memory, a few megabytes, and write the shard. Raises GenerationError,
+        DatasetError and StoreError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
 
         def drawn() -> Iterator[Drawn]:
-            left = self.samples
+            remaining = self.samples
             for n in range(len(self.numbers)):
                 unit = self.draw(self.first_unit + n)
-                for what, counts in unit.rejected.items():
-                    rejected[what].update(counts)
+                for subject, counts in unit.rejected.items():
+                    rejected[subject].update(counts)
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
-                for sample in unit.samples[: max(left, 0)]:
+                for sample in unit.samples[: max(remaining, 0)]:
                     yield partial(getattr, sample), sample.sha256()
-                left -= len(unit.samples)
+                remaining -= len(unit.samples)
 
         return put(place, self, drawn(), documents, rejected)
 
@@ -144,12 +150,12 @@ class ShardReport:
     """A shard on disk."""
 
     entry: ShardEntry
-    """What the manifest lists."""
+    """Its entry in the manifest."""
     size: int
-    """Bytes on disk."""
+    """Size of both files, bytes."""
     rejected: Rejections
     digests: bytes
-    """The samples' own SHA-256s, 32 bytes each, in order."""
+    """SHA-256 of the samples, 32 bytes each, in order."""
 
 
 def put(
@@ -159,10 +165,20 @@ def put(
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
-    `documents` and `rejected` are looked at once the samples have come to their end.
+    """Write a shard. The archive is written first; the file of samples commits the shard.
 
-    Raises DatasetError, and whatever `samples` raise.
+    Args:
+        place: Location of the dataset.
+        spec: The shard.
+        samples: The samples, in order. They may be drawn while they are consumed.
+        documents: Files of the worlds by name. Read after the last sample.
+        rejected: Numbers of rejected draws. Read after the last sample.
+
+    Returns:
+        The report of the shard.
+
+    Raises:
+        DatasetError: if it cannot be written. Errors of `samples` pass through.
     """
     digests = list[bytes]()
     layout = {name: column for name, column in spec.layout.items() if name != DIGEST}
@@ -178,9 +194,9 @@ def put(
             digests.append(digest)
         for name, values in small.items():
             file[name][:] = np.array(values)
-        own = b"".join(digests)
+        joined_digests = b"".join(digests)
         file.create_dataset(
-            DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32)
+            DIGEST, data=np.frombuffer(joined_digests, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
         worlds = zip_reproducibly(tuple(documents.items()))
         file.attrs["split"] = spec.split
@@ -193,28 +209,37 @@ def put(
     create_at(place, spec.worlds, worlds)
     create_at(place, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
-    return report_of(spec, sums, len(content) + len(worlds), rejected, own)
+    return report_of(spec, sums, len(content) + len(worlds), rejected, joined_digests)
 
 
 def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
-    """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and
-    ranges."""
-    found = {}
+    """Make the HDF5 datasets of a shard, one chunk for each sample. Returns those of grids and
+    ranges, which are compressed."""
+    opened = {}
     for name, (dtype, shape) in layout.items():
         packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
             name, shape=(samples, *shape), dtype=dtype, chunks=(1, *shape), **packing
         )
-        if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
-            found[name] = dataset.id
-    return found
+        # the others must be closed here: HDF5's layout of the file, and so its bytes, depends on it
+        if packed:
+            opened[name] = dataset.id
+    return opened
 
 
 def report_of(
     spec: ShardSpec, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
 ) -> ShardReport:
-    """The report of a shard whose two files have these SHA-256 `sums`, and `size` bytes in all."""
+    """Make the report of a shard.
+
+    Args:
+        spec: The shard.
+        sums: SHA-256 of the file of samples and of the archive.
+        size: Size of both, bytes.
+        rejected: Numbers of rejected draws.
+        digests: SHA-256 of the samples, 32 bytes each.
+    """
     entry = ShardEntry(
         file=spec.file,
         worlds=spec.worlds,
@@ -228,11 +253,11 @@ def report_of(
 
 
 def compress(values: np.ndarray) -> bytes:
-    """A chunk as HDF5's gzip filter would write it: the same bytes for the same values.
+    """Compress a chunk as HDF5's gzip filter would. Equal values give equal bytes.
 
-    Fed all at once, ISA-L hashes an address on the stack as if it were the third byte
-    (`write_first_byte` in igzip_icf_body_h1_gr_bt.asm, where `tmp2` is not set), and one process in
-    hundreds writes other bytes.
+    ISA-L hashes uninitialised memory in place of the third byte if it gets all bytes at once
+    (`write_first_byte` in igzip_icf_body_h1_gr_bt.asm, where `tmp2` is not set): one process in
+    hundreds would write other bytes. Therefore the first bytes are passed separately.
     """
     raw = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     stream = isal.isal_zlib.compressobj(_LEVEL)
@@ -241,19 +266,24 @@ def compress(values: np.ndarray) -> bytes:
 
 
 def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
-    """The report of a shard that is in a folder already, or None where there is none as `task` has
-    it: what the shard is to be, and what the manifest lists of it.
+    """Read the report of an existing shard.
 
-    A shard whose files are no longer what its entry says, or whose archive is not the one that was
-    written with it, is damaged, and counts as absent. Where there is no entry, samples are held
-    against their own digests.
+    A listed shard is compared with its sums. The samples of an unlisted one are compared with their
+    digests.
+
+    Args:
+        folder: Folder of the dataset.
+        task: The expected shard, and its entry in the manifest, if it has one.
+
+    Returns:
+        The report; None if the shard is missing, damaged, or another dataset's.
     """
     spec, listed = task
     try:
         path = folder / spec.file
         with open_file(path) as file, open_file(folder / spec.worlds) as worlds:
             shard = open_shard(path, spec.samples, spec.layout)
-            size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
+            size = sum(os.fstat(handle.fileno()).st_size for handle in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)
             shard.check_origin(
                 split=spec.split,
@@ -266,19 +296,20 @@ def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> Shar
             for row in range(spec.samples) if listed is None else ():
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
-                    shard.value(name, row, read_only=True)  # which must be there
+                    # digests do not cover derived fields: check that they can be unpacked
+                    shard.value(name, row, read_only=True)
             return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
 
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"
-"""How what `zip_reproducibly` makes begins."""
+"""First bytes of files made by `zip_reproducibly`."""
 
 
-@lru_cache(maxsize=1)  # the shards of a large map all have the same
+@lru_cache(maxsize=1)  # all shards of a large map have the same archive
 def zip_reproducibly(members: tuple[tuple[str, bytes], ...]) -> bytes:
-    """A zip file whose bytes depend on its members alone."""
+    """Make a zip file whose bytes depend only on its members."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:
         for name, content in sorted(members):

@@ -1,5 +1,4 @@
-"""A folder and the dataset that is to be in it: what is there, what is missing, and what the
-manifest says of it."""
+"""State of a dataset's folder: existing shards, missing ones, and what the manifest lists."""
 
 import contextlib
 import math
@@ -31,12 +30,13 @@ from scenegen.dataset.schema import NAME, SHARD_FILE, ShardEntry
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
-"""About what a voxel and a ray take on disk; half of it may do."""
+"""Approximate bytes on disk of a voxel (of a full or compact dataset) and of a ray. The true size
+may be half."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A dataset to be: its manifest without shards, and the shards that it is to have."""
+    """A dataset to make: its manifest without shards, and its shards."""
 
     folder: Place
     manifest: Manifest
@@ -44,47 +44,50 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """The last part of its folder's name."""
+        """Last part of its folder's path."""
         return Path(str(self.folder)).name
 
     @property
     def samples(self) -> int:
-        """In all splits."""
+        """Number of samples in all splits."""
         return sum(shard.samples for shard in self.shards)
 
     @property
     def bytes_expected(self) -> int:
-        """A rough size on disk."""
-        each = FULL_BYTES if "tudf" in self.manifest.fields else COMPACT_BYTES
+        """Rough size on disk, bytes."""
+        voxel_bytes = FULL_BYTES if "tudf" in self.manifest.fields else COMPACT_BYTES
         schema = self.manifest.schema
         rays = sum(
             math.prod(schema.shape(name)) for name in {"ranges", "earlier_ranges"} & {*schema.names}
         )
         voxels = math.prod(schema.grid.shape)
-        return int(self.samples * (each * voxels + RAY_BYTES * rays))
+        return int(self.samples * (voxel_bytes * voxels + RAY_BYTES * rays))
 
 
 class State:
-    """The folder of a plan, as far as one run knows it.
+    """State of a plan's folder in one run.
 
-    The manifest is read here, and again only where another job may have written one meanwhile:
-    before this run's first shard, and before its signature. `force` allows another dataset in the
-    folder, which `open` then replaces.
+    The manifest is read at first, and again only where another job may have written it: before this
+    run's first shard, and before the manifest is completed.
 
-    Raises DatasetError unless the folder is free, or holds this dataset, or one that is the same
-    but for fewer samples, or, with `force`, another one. A manifest without a shard, left by a run
-    that drew none, stands in nobody's way.
+    Args:
+        plan: The plan.
+        force: Whether another dataset in the folder is accepted. `open` replaces it.
+
+    Raises:
+        DatasetError: unless the folder is free, or holds this dataset, the same with fewer samples,
+            or a manifest without shards.
     """
 
     def __init__(self, plan: Plan, *, force: bool = False):
         self.plan = plan
         self.reports: dict[str, ShardReport] = {}
-        """What is known of every shard that is there, by its file."""
+        """Reports of the known shards, by file."""
         self._force = force
         self._names: Mapping[str, int | None] | None = None
-        """What lies in the folder, if that was just listed."""
+        """Names in the folder, if they were just listed."""
         self._content = b""
-        """The manifest as it was read."""
+        """The manifest when it was read."""
         self._listed = self._read()
 
     @property
@@ -94,18 +97,18 @@ class State:
 
     @property
     def done(self) -> bool:
-        """Whether every shard is known, and the manifest that was read says just that."""
-        whole = len(self.reports) == len(self.plan.shards)
-        return whole and self._content == manifest.encode(self.current())
+        """Whether every shard is known, and the manifest says so."""
+        is_complete = len(self.reports) == len(self.plan.shards)
+        return is_complete and self._content == manifest.encode(self.current())
 
     def current(self) -> Manifest:
-        """The manifest of the shards that are known."""
+        """Manifest with the known shards."""
         reports = self.reports_of(self.plan.shards)
         complete = len(reports) == len(self.plan.shards)
         rejected = {}
-        for what in ("worlds", "viewpoints"):
-            counts = sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
-            rejected[what] = dict(sorted(counts.items()))
+        for subject in ("worlds", "viewpoints"):
+            counts = sum((Counter(report.rejected[subject]) for report in reports), Counter[str]())
+            rejected[subject] = dict(sorted(counts.items()))
         return msgspec.structs.replace(
             self.plan.manifest,
             complete=complete,
@@ -115,7 +118,8 @@ class State:
         )
 
     def _read(self) -> Mapping[str, ShardEntry] | None:
-        """The shards that the manifest of this dataset lists, by file; None where there is none."""
+        """Entries of the shards that this dataset's manifest lists, by file; None if there is no
+        such manifest."""
         folder = self.plan.folder
         with disk_told(folder):
             try:
@@ -138,7 +142,7 @@ class State:
             )
         self._content = manifest.read_content(folder)
         try:
-            former = manifest.parse(self._content, Path(str(folder)))
+            existing = manifest.parse(self._content, Path(str(folder)))
         except DatasetError as error:
             if self._has_shards_among(names):
                 return {}  # the manifest alone is damaged
@@ -148,31 +152,34 @@ class State:
                 f"{folder}/{NAME}: {error}; choose another folder with --out, or replace "
                 f"the dataset with --force"
             ) from None
-        differing = differences(former.parameters, self.plan.manifest.parameters)
+        differing = differences(existing.parameters, self.plan.manifest.parameters)
         grows = all(line.startswith("counts.") for line in differing) and all(
-            former.counts[split] <= self.plan.manifest.counts[split] for split in SPLITS
+            existing.counts[split] <= self.plan.manifest.counts[split] for split in SPLITS
         )
         if grows:
-            return {entry.file: entry for entry in former.shards}
+            return {entry.file: entry for entry in existing.shards}
         if not self._force and any(map(SHARD_FILE.fullmatch, names)):
-            more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
+            rest = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
-                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
+                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{rest}; choose "
                 "another folder with --out, or replace it with --force"
             )
         return None
 
     def _has_shards_among(self, names: Sequence[str]) -> bool:
-        """Whether one of the files `names` is a sound shard of this dataset."""
-        planned_here = (shard for shard in self.plan.shards if shard.file in names)
-        return any(report_at(self.plan.folder, (shard, None)) for shard in planned_here)
+        """Whether one of the files `names` is a valid shard of this dataset."""
+        candidates = (shard for shard in self.plan.shards if shard.file in names)
+        return any(report_at(self.plan.folder, (shard, None)) for shard in candidates)
 
     def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
-        """Take in those of `shards` that are on disk, are not known yet, and are as the manifest
-        says.
+        """Find existing shards that are not known yet, and are valid.
 
-        The samples of those that it does not list are held against their own digests. Each worker
-        reads its part.
+        Listed shards are compared with the sums in the manifest, others with the digests of their
+        samples.
+
+        Args:
+            shards: The shards to look for.
+            workers: Number of processes that read them.
         """
         if self._listed is None:
             return
@@ -194,10 +201,10 @@ class State:
         self.reports |= {report.entry.file: report for report in reports if report is not None}
 
     def open(self) -> None:
-        """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
-        `force` replaces.
+        """Prepare the folder for shards if some are missing. Only the dataset that `force` replaces
+        is removed.
 
-        Raises DatasetError where a file stands in the way that is of neither.
+        Raises DatasetError if another file has the name of a planned one.
         """
         if not self.done:
             self._begin()
@@ -208,20 +215,20 @@ class State:
         with disk_told(folder):
             if isinstance(folder, Path):
                 folder.mkdir(parents=True, exist_ok=True)
-            # listed first: what comes later is another job's, and this dataset's
+            # listed before the manifest is read: files that appear later belong to this dataset
             names = names_at(folder).keys()
             self._listed, self._names = self._read(), None
             self.clear()
         if not self.begun:
-            former = _former_files(folder, names)
+            existing = _former_files(folder, names)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= rays_digest(self.plan.manifest.tables.lidar).keys()
-            for name in sorted(planned & names - set(former)):
+            for name in sorted(planned & names - set(existing)):
                 raise DatasetError(
                     f"{folder}/{name}: is of no dataset there; move it away, or choose another "
                     f"--out"
                 )
-            for name in former:  # before the manifest that says whose they are
+            for name in existing:  # before the manifest, which is needed to identify them
                 remove_at(folder, name)
             self._remove_notes()
         if not self.begun or NAME not in names:
@@ -233,7 +240,7 @@ class State:
                     (folder / part).mkdir(exist_ok=True)
 
     def clear(self) -> None:
-        """Remove what killed processes left behind; at a store, objects are complete or absent."""
+        """Remove temporary files of killed processes. Stores have none."""
         if isinstance(self.plan.folder, Path):
             remove_drafts(self.plan.folder)
 
@@ -242,11 +249,14 @@ class State:
             remove_notes(self.plan.folder)
 
     def note(self, mine: Sequence[ShardSpec] | None = None) -> None:
-        """Write down the shards that are known, for a run that is stopped: the next one hashes
-        their files, and not their samples. The manifest lists them; those of a job that sees to
-        `mine` alone stand in a file of its own."""
+        """Record the known shards for the next run, which then compares sums of files instead of
+        digests of samples.
+
+        They are recorded in the manifest, or, for a job with only the shards `mine`, in its own
+        note.
+        """
         if mine is not None and len(mine) < len(self.plan.shards):
-            if isinstance(self.plan.folder, Path):  # at a store, a report lies beside each shard
+            if isinstance(self.plan.folder, Path):  # a store has a report beside each shard instead
                 files = [shard.file for shard in mine]
                 fingerprint = self.plan.manifest.fingerprint
                 write_note(self.plan.folder, fingerprint, files, self.reports_of(mine))
@@ -254,11 +264,11 @@ class State:
         manifest.write(self.plan.folder, self.current())
 
     def sign(self, *, workers: int = 1) -> Manifest:
-        """Write the manifest, complete if no shard is missing; the manifest.
+        """Write the manifest, which is complete if no shard is missing.
 
-        Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
-        shard looks at all of them; others leave what is not theirs alone, but look again once they
-        have written. A job whose shards are all in a complete manifest already is done.
+        Other jobs may write shards and manifests meanwhile. A job that finds all files examines all
+        shards; other jobs only list their own, and check again after writing. If a complete
+        manifest already lists all shards of this job, nothing is written.
         """
         if self.done:
             self._remove_notes()
@@ -267,29 +277,29 @@ class State:
             content = manifest.read_content(self.plan.folder)
             if len(self.reports) < len(self.plan.shards) and (signed := self._signed(content)):
                 return signed
-            if whole := not self.absent():
+            if all_exist := not self.absent():
                 self.look(self.plan.shards, workers=workers)
             final = self.current()
             if manifest.read_content(self.plan.folder) != manifest.encode(final):
                 manifest.write(self.plan.folder, final)
             if final.complete:
                 self._remove_notes()
-            if whole or self.absent():
+            if all_exist or self.absent():
                 return final
 
     def _signed(self, content: bytes) -> Manifest | None:
-        """The manifest in `content`, if it is this dataset's, complete, and lists what is known
-        just so."""
+        """Parse a manifest. Returns it if it is this dataset's, complete, and consistent with the
+        known shards."""
         with contextlib.suppress(DatasetError):
-            there = manifest.parse(content)
-            listed = {entry.file: entry for entry in there.shards}
+            other = manifest.parse(content)
+            listed = {entry.file: entry for entry in other.shards}
             known = (report.entry for report in self.reports.values())
             if (
-                there.complete
-                and there.parameters == self.plan.manifest.parameters
+                other.complete
+                and other.parameters == self.plan.manifest.parameters
                 and all(listed.get(entry.file) == entry for entry in known)
             ):
-                return there
+                return other
         return None
 
     def absent(self) -> list[ShardSpec]:
@@ -298,31 +308,33 @@ class State:
         return [shard for shard in self.plan.shards if shard.file not in names]
 
     def reports_of(self, shards: Sequence[ShardSpec]) -> list[ShardReport]:
-        """The reports of those of `shards` that are known, in their order."""
+        """Reports of the known ones among `shards`, in order."""
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
 def _former_files(folder: Place, names: Set[str]) -> list[str]:
-    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its table
-    of rays, the shards that it lists, and those not listed yet, which carry its fingerprint; every
-    shard where the manifest cannot be read. In an order that can be gone on with: worlds come
-    before their samples, which hold their digest."""
+    """Files of the dataset whose manifest is in the folder: its table of rays, listed shards, and
+    unlisted shards with its fingerprint; all shards if the manifest cannot be read.
+
+    Archives come before the samples that name their digest, so that an interrupted removal can
+    continue.
+    """
     if NAME not in names:
         return []
     shards = {name for name in names if SHARD_FILE.fullmatch(name)}
     try:
-        former = manifest.parse(manifest.read_content(folder))
+        existing = manifest.parse(manifest.read_content(folder))
     except DatasetError:
         return sorted({*shards, *({RAYS} & names)}, reverse=True)
-    owned = names & former.files.keys()
+    owned = names & existing.files.keys()
     for name in sorted(shards - owned):
         content = read_at(folder, name, sys.maxsize - 1)
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
-            is_owned = former.fingerprint.encode() in content
+            is_owned = existing.fingerprint.encode() in content
         elif samples in names:
             is_owned = samples in owned
-        else:  # whose writer was killed before it put the samples beside them
+        else:  # an archive without samples: its writer was killed in between
             is_owned = content.startswith(ARCHIVE)
         if is_owned:
             owned.add(name)

@@ -1,9 +1,6 @@
-"""One sample: the record, which is also the schema on disk, and what of it follows from the
-rest.
-"""
+"""One sample: its record, which is also the schema on disk."""
 
 import hashlib
-import html
 import operator
 import sys
 from abc import abstractmethod
@@ -17,6 +14,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
 from scenegen.base.errors import DatasetError, lacking, short
+from scenegen.draw.html import html_table as html_table
 
 if TYPE_CHECKING:
     from scenegen.draw.tensors import TensorSamples
@@ -25,35 +23,33 @@ if TYPE_CHECKING:
 def _stored(
     dtype: str, axes: str, meaning: str, *, unit: str = "", derived: bool = False, group: str = ""
 ) -> Any:
-    """A field of the record.
+    """Declare a field of the record.
 
-    Args:
-        dtype: Its type on disk.
-        axes: `grid`, `rays`, `earlier` scans, a count, or nothing for a single value.
-        meaning: What it means, once for readers, cards and this code alike.
-        unit: Its unit; nothing for a count, a flag or a ratio.
-        derived: Whether it follows from the other fields.
-        group: The group of fields that only some datasets have; nothing for a field of all.
+    `axes` names `grid`, `rays`, `earlier` (scans) or a length; "" means a scalar. Readers, dataset
+    cards and this code share `meaning`. `derived` fields can be computed from others. Fields of a
+    `group` exist only in some datasets.
     """
-    about: dict[str, Any] = {"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning}
-    about |= {"derived": derived, "group": group}
+    metadata: dict[str, Any] = {"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning}
+    metadata |= {"derived": derived, "group": group}
     if not group:
-        return field(metadata=about)
-    # a factory, since a default would be found on the class before a field is looked up
-    return field(metadata=about, default_factory=lambda: None)
+        return field(metadata=metadata)
+    # A factory: a plain default would be a class attribute, so that `__getattr__` of a lazy sample
+    # would never be called.
+    return field(metadata=metadata, default_factory=lambda: None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sample:
-    """What was seen and what was there.
+    """A sample: the observed map, its ground truth, and the scans.
 
-    Grids are indexed x, y, z; lengths are metres; positions are in the world's frame. A dataset
-    with several scans a sample has the fields `earlier_…`, the last scan made first; one with
-    labels has `return_…` and `voxel_…`, where geoms are numbered as in the compiled world and
-    classes as in the recipe's `labels`; one with normals has `return_normal`; one of maps has
-    `known` and `ray_known`. These fields are None in other datasets. The fields of a sample that
-    comes from a dataset or a stream are read when they are first asked for; a copy of it, by pickle
-    or by `dataclasses.replace`, holds all of them.
+    Grids are indexed x, y, z. Lengths are in metres, positions in the world's frame. Some fields
+    are None in datasets without them: `earlier_…` belong to datasets with several scans a sample
+    (latest first), `return_…` and `voxel_…` to labelled ones (geoms are numbered as in the compiled
+    world, classes as in the recipe's `labels`), `return_normal` to those with normals, `known` and
+    `ray_known` to those of maps of real places.
+
+    Fields of a sample from a dataset or a stream are read on first access. A copy, by pickle or
+    `dataclasses.replace`, holds all of them.
     """
 
     observed: Mask = _stored("bool", "grid", "voxels that hold at least one return")
@@ -126,9 +122,9 @@ class Sample:
         group="known",
     )
     lidar: Sensor | None = None
-    """The sensor that made the sample, where it is known."""
+    """The sensor of the scans, if known."""
     grid: GridSpec | None = None
-    """The map's grid, where it is known."""
+    """The map's grid, if known."""
 
     @classmethod
     def lazy(
@@ -139,19 +135,27 @@ class Sample:
         lidar: Sensor,
         grid: GridSpec,
     ) -> "Sample":
-        """The sample with the fields `names`, each of which `find` is asked for once."""
-        # torch's own way to extend it; a loader has imported it before it reads a sample
+        """Make a sample whose fields are read on first access.
+
+        Args:
+            find: Called as find(sample, name), once for each of the fields `names`.
+        """
+        # Registers a clear error for torch's default collate. Torch is not imported for this: a
+        # DataLoader has imported it before it reads a sample.
         collate = sys.modules.get("torch.utils.data._utils.collate")
         getattr(collate, "default_collate_fn_map", {}).setdefault(cls, _refuse_batch)
+        # `__init__` would require the values of all fields
         sample = cls.__new__(cls)
         sample.__dict__.update(_names=tuple(names), _find=find, lidar=lidar, grid=grid)
         return sample
 
     def __getattr__(self, name: str) -> Any:
         known = self.__dict__
+        # while a sample is copied or unpickled, `_find` is not set yet: fail instead of recursing
         if name not in FIELDS or "_find" not in known:
             raise AttributeError(f"a sample has no field {name!r}; it has {', '.join(FIELDS)}")
         value = known["_find"](self, name) if name in known["_names"] else None
+        # setdefault: two threads that read a field get the same object
         return known.setdefault(name, value)
 
     def __dir__(self) -> list[str]:
@@ -162,40 +166,45 @@ class Sample:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of its fields, in the order of the schema."""
+        """Names of its fields, in the order of the schema."""
         known: tuple[str, ...] | None = self.__dict__.get("_names")
         return known or tuple(name for name in FIELDS if getattr(self, name) is not None)
 
     def points(
         self, lidar: Sensor | None = None, *, frame: Literal["world", "body"] = "world"
     ) -> Floats:
-        """The returns of all its scans.
+        """Returns of all scans as points.
 
         Args:
-            lidar: The sensor; the sample's own by default, if it knows it.
-            frame: "world", or "body" for the frame of the body that holds the sensor at the
-                sample's own scan.
+            lidar: The sensor; by default the sample's own.
+            frame: "world", or "body" for the frame of the body that carries the sensor, at the
+                sample's latest scan.
 
         Returns:
             Points (M, 3) in metres, scan by scan as in `scans`, each in ray order.
 
         Raises:
-            TypeError: The sensor is not known.
-            ValueError: There is no such frame, or `lidar` is no sensor of these ranges.
+            TypeError: if the sensor is not known.
+            ValueError: if there is no such frame, or `lidar` does not fit the ranges.
         """
         if frame not in ("world", "body"):
             raise ValueError(f"frame = {frame!r}: expected 'world' or 'body'")
-        own, *earlier = self.scans(lidar)
+        latest, *earlier = self.scans(lidar)
         if frame == "world":
-            return np.concatenate([scan.points() for scan in (own, *earlier)])
+            return np.concatenate([scan.points() for scan in (latest, *earlier)])
         hit = np.isfinite(self.ranges)
-        first = self.ranges[hit].astype(np.float64)[:, None] * own.lidar.directions_body[hit]
-        return np.concatenate([first, *(own.pose.to_body(scan.points()) for scan in earlier)])
+        # directly from the ranges: through the world and back, points would be rounded twice
+        first = self.ranges[hit].astype(np.float64)[:, None] * latest.lidar.directions_body[hit]
+        return np.concatenate([first, *(latest.pose.to_body(scan.points()) for scan in earlier)])
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
-        """The scans that its map is made of: its own, and then those before it, the last made
-        first; by its own sensor, if it knows it, unless `lidar` is given. Raises TypeError where
-        neither is known, and ValueError for what is no sensor of its ranges."""
+        """All scans of the sample: its own, then earlier ones, latest first. By default with its
+        own sensor.
+
+        Raises:
+            TypeError: if the sensor is not known.
+            ValueError: if `lidar` does not fit the ranges.
+        """
         if (lidar := lidar or self.lidar) is None:
             raise TypeError(
                 "points() and scans() need the sensor that made this sample, such as recipe.lidar"
@@ -214,88 +223,81 @@ class Sample:
         return f"<Sample: world {self.world}, viewpoint {self.viewpoint}, {grid} voxels, {shares}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: each field with its shape, its share or value, and its meaning."""
+        """For notebooks: a table of fields with shape, share or value, and meaning."""
         rows = []
         for name in self.names:
-            value, said = np.asarray(getattr(self, name)), ""
+            value, summary = np.asarray(getattr(self, name)), ""
             if value.dtype == bool:
-                said = f"{100 * value.mean():.2f} %"
+                summary = f"{100 * value.mean():.2f} %"
             elif value.size <= 4:
-                said = str(value)
-            rows.append((name, value.shape, said, FIELDS[name]["meaning"]))
+                summary = str(value)
+            rows.append((name, value.shape, summary, FIELDS[name]["meaning"]))
         return html_table(rows, self)
 
     def sha256(self) -> bytes:
-        """The sample's own digest (32 bytes) over what does not follow from the rest, as
-        docs/format.md defines it."""
+        """Digest of the sample (32 bytes) over all fields that are not derived, as defined in
+        docs/format.md."""
         digest = b""
         for group, names in GROUPS.items():
+            # the fields of a group are present or absent together
             if getattr(self, names[0]) is None:
                 continue
-            whole = hashlib.sha256(digest)
+            group_hash = hashlib.sha256(digest)
             for name in (name for name in names if name not in DERIVED):
                 values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
                 # grids that every sample has count by their bits
                 packed = values.dtype == bool and not group
-                whole.update((np.packbits(values) if packed else values).tobytes())
-            digest = whole.digest()
+                group_hash.update((np.packbits(values) if packed else values).tobytes())
+            # chained: samples without optional groups keep the digest of the format without these
+            digest = group_hash.digest()
         return digest
 
 
-def html_table(rows: Iterable[Sequence[object]], title: object) -> str:
-    """A table for notebooks under `title`; nothing in it is taken for HTML."""
-    lines = ("".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<p>{html.escape(str(title))}</p><table>{body}</table>"
-
-
 FIELDS = {item.name: item.metadata for item in fields(Sample) if "dtype" in item.metadata}
-"""Name of every field on disk, in order, to its `dtype`, `axes`, `unit`, `meaning`, `group`, and
-whether it is `derived`."""
+"""Fields on disk, in order: name to `dtype`, `axes`, `unit`, `meaning`, `group` and `derived`."""
 GROUPS = {
-    group: tuple(name for name, about in FIELDS.items() if about["group"] == group)
-    for group in dict.fromkeys(about["group"] for about in FIELDS.values())
+    group: tuple(name for name, entry in FIELDS.items() if entry["group"] == group)
+    for group in dict.fromkeys(entry["group"] for entry in FIELDS.values())
 }
-"""The fields of every group; under "" those that every sample has."""
-DERIVED = tuple(name for name, about in FIELDS.items() if about["derived"])
-"""Fields that follow from others."""
+"""Names of the fields of each group; "" is the group of all datasets."""
+DERIVED = tuple(name for name, entry in FIELDS.items() if entry["derived"])
+"""Fields that can be computed from others."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Schema:
-    """Which fields the samples of a dataset have, and of which shapes."""
+    """Fields of a dataset's samples, and their shapes."""
 
     grid: GridSpec
     lidar: Sensor
     groups: tuple[str, ...] = ()
-    """The groups of fields that they have besides those of every sample."""
+    """Groups of fields beyond those of all datasets."""
     scans: int = 1
-    """Scans of a sample."""
+    """Number of scans of a sample."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all fields, in order."""
-        return tuple(name for name, about in FIELDS.items() if about["group"] in ("", *self.groups))
+        return tuple(name for name, entry in FIELDS.items() if entry["group"] in ("", *self.groups))
 
     def stored(self, *, compact: bool) -> tuple[str, ...]:
-        """Names of the fields that a dataset stores: all, or, if `compact`, those that do not
-        follow from others."""
+        """Names of the stored fields: all, or without derived ones if `compact`."""
         return tuple(name for name in self.names if not (compact and name in DERIVED))
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """The shape of a field of one sample."""
-        named = {
+        """Shape of a field of one sample."""
+        lengths = {
             "grid": self.grid.shape,
             "rays": self.lidar.shape,
             "earlier": (self.scans - 1,),
         }
         axes = FIELDS[name]["axes"].split()
         return tuple(
-            count for axis in axes for count in (named[axis] if axis in named else (int(axis),))
+            count for axis in axes for count in (lengths[axis] if axis in lengths else (int(axis),))
         )
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """Every field: name to its numpy `dtype`, `shape`, `unit` ("" for none), and `meaning`."""
+        """Describe every field: name to numpy `dtype`, `shape`, `unit` ("" for none), `meaning`."""
         return {
             name: {
                 "dtype": np.dtype(FIELDS[name]["dtype"]).name,
@@ -308,8 +310,7 @@ class Schema:
 
 
 def earlier_fields(scans: Sequence[Scan]) -> dict[str, np.ndarray]:
-    """The fields of a sample that hold the scans before its own, the last made first; none where
-    there is none."""
+    """Fields of a sample for its earlier scans, latest first; {} if there are none."""
     if not scans:
         return {}
     values = zip(
@@ -319,7 +320,7 @@ def earlier_fields(scans: Sequence[Scan]) -> dict[str, np.ndarray]:
 
 
 def _refuse_batch(batch: Any, *, collate_fn_map: Any = None) -> NoReturn:
-    """What torch's default collate calls for a batch of samples."""
+    """Called by torch's default collate for a batch of samples."""
     raise TypeError(
         "torch's default collate cannot batch samples: give DataLoader `samples.torch()`, whose "
         "items are dictionaries of tensors, or a collate_fn of your own"
@@ -327,27 +328,31 @@ def _refuse_batch(batch: Any, *, collate_fn_map: Any = None) -> NoReturn:
 
 
 def rng_of(seed: int, *key: int) -> np.random.Generator:
-    """The random numbers that `seed` gives the part `key` of some work, whatever is drawn for
-    others."""
+    """Random numbers of one part of some work, independent of those of other parts.
+
+    Args:
+        seed: Seed of the work.
+        key: Numbers that identify the part.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 class Samples(Sequence[Sample]):
-    """Samples by number: what a dataset's split and a stream have in common."""
+    """Samples by number: the common interface of a dataset's split and a stream."""
 
     @property
     @abstractmethod
     def schema(self) -> Schema:
-        """Which fields they have."""
+        """Schema of the samples; of the first source if several differ."""
 
     @property
     def schemas(self) -> Sequence[Schema]:
-        """All schemas of samples among them: several where sources differ."""
+        """Schemas of all sources."""
         return [self.schema]
 
     @abstractmethod
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
-        """Several of them."""
+        """Read several samples."""
 
     @overload
     def __getitem__(self, index: int) -> Sample: ...
@@ -359,26 +364,24 @@ class Samples(Sequence[Sample]):
         return self.__getitems__([index])[0]
 
     def _checked(self, index: Any) -> int:
-        """The number of a sample, from 0 on. Raises TypeError and IndexError."""
+        """Check an index, and count it from 0. Raises TypeError and IndexError."""
         number = operator.index(index)
         if not -len(self) <= number < len(self):
             raise IndexError(f"{self}: has no sample {short(number)}")
+        # negative indices count from the end
         return number % len(self)
 
     def torch(self, fields: Sequence[str] | None = None) -> "TensorSamples":
-        """The same samples as a map-style dataset of torch's, whose items are dictionaries of
-        tensors: `DataLoader(samples.torch(), batch_size=8)` batches them.
+        """Make a map-style PyTorch dataset whose items are dictionaries of tensors:
+        `DataLoader(samples.torch(), batch_size=8)` batches them. Shapes and types are those of
+        `describe`, except that classes are int32.
 
         Args:
-            fields: Names of the fields to read; all by default. Others are not read, nor derived.
-
-        Returns:
-            A `torch.utils.data.Dataset`. Shapes and types are those of `describe`, but for classes,
-            which are int32.
+            fields: Names of the fields; all by default. Other fields are neither read nor derived.
 
         Raises:
-            DatasetError: There is no such field, samples differ in its shape, or torch is not
-                installed.
+            DatasetError: if a field does not exist, its shape differs between samples, or torch is
+                not installed.
         """
         try:
             from scenegen.draw.tensors import tensors_of
@@ -387,10 +390,10 @@ class Samples(Sequence[Sample]):
         return tensors_of(self, fields)
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        """Describe the fields: name to `dtype`, `shape`, `unit` and `meaning`."""
         return self.schema.describe()
 
     def _repr_html_(self) -> str:
-        """For notebooks: what they are, and what each holds."""
-        rows = ((name, *about.values()) for name, about in self.describe().items())
+        """For notebooks: a table of the fields."""
+        rows = ((name, *entry.values()) for name, entry in self.describe().items())
         return html_table(rows, self)

@@ -1,4 +1,4 @@
-"""Which voxels of a sample count in scores: one rule for the bench, pages and pictures."""
+"""Which voxels of a sample are scored. The bench, pages and pictures share this rule."""
 
 import math
 from collections.abc import Mapping
@@ -11,15 +11,22 @@ from scenegen.draw.sample import Sample
 
 
 def scored_voxels(sample: Sample, grid: GridSpec, world: Mapping[str, Any] | None) -> Mask:
-    """Which voxels of a map, (*grid.shape), scores count: those that reach above the underside of
-    the ground slab, all where the world has none; and in a map of a real place those that are
-    known. `world` is the table of the sample's recipe, None for worlds from files.
+    """Select the voxels that are scored: those above the underside of the ground slab (all, if the
+    world has none), and in a map of a real place only those that are known.
 
-    No sensor sees below the ground and no robot flies there, so what is said of that space is
-    neither right nor wrong.
+    No sensor sees below the ground, and no robot flies there, so predictions there are neither
+    right nor wrong.
+
+    Args:
+        sample: The sample.
+        grid: Its grid.
+        world: Table `world` of the sample's recipe; None for worlds from files.
+
+    Returns:
+        Mask (*grid.shape).
     """
     world = world or {}
-    thick_m = world.get("ground_m")  # parameters of somebody's own kind may be anything
+    thick_m = world.get("ground_m")  # in a user's own kind, it may have any type
     bottom = -math.inf
     if world.get("ground") is True and isinstance(thick_m, int | float):
         bottom = -thick_m
@@ -31,10 +38,19 @@ def scored_voxels(sample: Sample, grid: GridSpec, world: Mapping[str, Any] | Non
 
 
 def certain_distances(tudf: Field, known: Mask | None, grid: GridSpec) -> Mask | None:
-    """The voxels (*grid.shape) whose true distance `tudf` is certain: no unknown voxel is nearer
-    than the nearest `known` to be occupied. None if all is known."""
+    """Select the voxels whose true distance is certain: no unknown voxel is nearer than the nearest
+    known occupied one.
+
+    Args:
+        tudf: True distances (*grid.shape), metres.
+        known: Mask of known voxels; None if all are known.
+        grid: The grid.
+
+    Returns:
+        Mask (*grid.shape); None if all are known.
+    """
     if known is None:
         return None
-    from scenegen.truth import distance_field  # which compiles
+    from scenegen.truth import distance_field  # compiles kernels, which most callers need not
 
     return tudf <= distance_field(~known, grid)

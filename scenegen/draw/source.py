@@ -1,7 +1,6 @@
-"""Where worlds come from: drawn anew by a recipe, or read from MJCF files.
+"""Where worlds come from: drawn by a recipe, or read from files.
 
-A source answers one question: which world does unit u of a split fly through? A *unit* is one
-flight and its samples.
+A source maps a unit (one flight and its samples) to the world that it flies through.
 """
 
 import functools
@@ -36,24 +35,37 @@ from scenegen.worlds.scene import Reading, Scene, named, read_file
 from scenegen.worlds.world import AnyWorld, World, archived_world, solid, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
-"""How a folder of worlds is dealt out."""
+"""Relative numbers of worlds of each split, when the worlds of a folder are divided."""
 
 
 class Source(Protocol):
-    """Worlds by number. A source is small and can be pickled: it travels to worker processes and
-    clusters."""
+    """Worlds by number. Sources are small and can be pickled, as they are sent to worker processes
+    and clusters."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """(the world's number within its split, how many earlier units of the split flew through
-        the same world)."""
+        """Find the world of a unit.
+
+        Args:
+            split: Name of the split.
+            unit: Number of the unit in its split.
+
+        Returns:
+            Number of the world in its split, and how many earlier units of the split visit it.
+        """
         ...
 
     def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
-        """The world itself; a source that draws does so from `rng` alone."""
+        """Make or read a world.
+
+        Args:
+            split: Name of the split.
+            number: Number of the world in its split.
+            rng: Random numbers that the world is drawn by, if it is drawn.
+        """
         ...
 
     def describe(self) -> Json:
-        """What identifies the source, for the manifest; nothing where the recipe says all."""
+        """Identify the source in the manifest; {} if the recipe says all."""
         return {}
 
 
@@ -64,18 +76,26 @@ class DrawnWorlds(Source):
     recipe: Recipe
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """A world a unit."""
+        """Find the world of a unit; see `Source.number`.
+
+        Returns:
+            The unit's own number, and 0.
+        """
         return unit, 0
 
     def world(self, split: str, number: int, *, rng: Generator) -> World:
-        """Draw the world from `rng`. Raises RecipeError for what MuJoCo does not take."""
+        """Draw a world; see `Source.world`.
+
+        Raises:
+            RecipeError: if the kind draws a world that MuJoCo cannot compile.
+        """
         kind = self.recipe.world
         if kind is None:
             raise RecipeError(
                 'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
-        # a user's own kind may draw what cannot be whatever the values
+        # the fault may lie in a user's own kind, and not in the values
         advice = "correct it" if ":" in self.recipe.kind else "take values nearer to the preset's"
         with raised_as(
             RecipeError,
@@ -86,36 +106,44 @@ class DrawnWorlds(Source):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
 
     def class_names(self, by: By) -> set[str]:
-        """Classes of its worlds' geoms, as far as the kind says: its `classes`."""
+        """Classes of the worlds' geoms that the kind declares in `classes`."""
         return set(getattr(self.recipe.world, "classes", ()))
 
 
 MAP_DRAWS = 500
-"""In building 079, nine of ten draws find no flight."""
+"""Default number of draws in maps. In building 079, nine of ten draws find no flight."""
 
 
 @dataclass(frozen=True)
 class SceneWorlds:
-    """Worlds from files, MJCF or maps. The units of a split visit its worlds in turn, each time
-    with another flight, so that any number of samples spreads evenly over them."""
+    """Worlds from files: MJCF, meshes or maps. The units of a split visit its worlds in turn, so
+    that samples are spread evenly over them."""
 
     scenes: Mapping[str, Sequence[Scene]]
-    """The worlds of each split."""
+    """Worlds of each split."""
     notes: tuple[str, ...] = ()
-    """What was left out of the files or taken otherwise than one might expect: a sentence each."""
+    """Sentences about parts of files that were left out or interpreted."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
-        """The split's worlds in turn."""
+        """Find the world of a unit; see `Source.number`.
+
+        Returns:
+            Number of the world, and number of the round over all worlds.
+        """
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
     def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
-        """The world of a file; nothing is drawn."""
+        """Compile the world of a file; see `Source.world`. Nothing is drawn.
+
+        Returns:
+            The world.
+        """
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
 
     def describe(self) -> Json:
-        """The files and their digests, by split."""
+        """Names and digests of the files, by split."""
         return {
             split: [
                 {"file": scene.name, "sha256": world_digest(scene.mjcf, scene.assets).hex()}
@@ -126,12 +154,12 @@ class SceneWorlds:
         }
 
     def class_names(self, by: By) -> set[str]:
-        """Classes of its worlds' geoms."""
+        """Classes of the worlds' geoms."""
         rng = np.random.default_rng(0)
         worlds = (
             self.world(split, n, rng=rng)
-            for split, of in self.scenes.items()
-            for n in range(len(of))
+            for split, scenes in self.scenes.items()
+            for n in range(len(scenes))
         )
         return {
             name
@@ -141,25 +169,32 @@ class SceneWorlds:
 
     @property
     def maps(self) -> list[str]:
-        """The names of those that are maps of real places."""
-        return [scene.name for of in self.scenes.values() for scene in of if scene.is_map]
+        """Names of the worlds that are maps of real places."""
+        return [scene.name for scenes in self.scenes.values() for scene in scenes if scene.is_map]
 
     def suited(self, recipe: Recipe) -> Recipe:
-        """`recipe`; where a world is a map, with `known`, and with more draws of a flight than the
-        usual, since many end at unknown space."""
+        """Adapt a recipe to maps: set `known`, and allow more draws than usual, since many flights
+        end at unknown space."""
         if not self.maps:
             return recipe
         recipe = replace(recipe, known=recipe.known or Known())
         if recipe.accept.max_draws == Acceptance.max_draws:
-            more = replace(recipe.accept, max_draws=MAP_DRAWS)
-            with suppress(ValueError):  # of flights that search long, so many may not be drawn
-                return replace(recipe, accept=more)
+            accept = replace(recipe.accept, max_draws=MAP_DRAWS)
+            with suppress(ValueError):  # beyond MOST_SEARCHED: keep the recipe's draws
+                return replace(recipe, accept=accept)
         return recipe
 
 
 def read_world(path: str | Path, tell: Callable[[str], None] | None = None) -> AnyWorld:
-    """The world of an MJCF file, or of a map of a real place; `tell` hears its `notes`. Raises
-    SceneError for a file that cannot serve."""
+    """Read a world from an MJCF file, a mesh, or a map of a real place.
+
+    Args:
+        path: The file.
+        tell: Called with each note about the file.
+
+    Raises:
+        SceneError: if the file cannot be used.
+    """
     if Path(path).is_dir():
         raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
     source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
@@ -175,15 +210,25 @@ def named_world(
     difficulty: str | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> AnyWorld:
-    """The world of a file, see `read_world`, or one of the kind called `name`, as its preset of
-    that difficulty draws it by `seed`."""
+    """Read a world from a file, or draw one of a kind.
+
+    Args:
+        name: Path of a file, or name of a kind.
+        seed: Seed of a drawn world.
+        difficulty: "easy", "medium" or "hard".
+        tell: Called with each note about a file.
+
+    Raises:
+        SceneError: if the file cannot be used.
+        RecipeError: if there is no such kind.
+    """
     if Path(name).exists() or (":" not in name and not name.isidentifier()):
         return read_world(name, tell)
     drawn = DrawnWorlds(preset(name, difficulty=difficulty))
     return drawn.world("train", 0, rng=np.random.default_rng(seed))
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=8)  # the units of a split return to the same worlds
 def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> AnyWorld:
     return archived_world(mjcf, dict(assets), name=name)
 
@@ -196,34 +241,38 @@ def read_scenes(
     allow_unseen: bool = False,
     materials: bool = False,
 ) -> SceneWorlds:
-    """Worlds from files, MJCF or maps, dealt to the splits as `SHARES` says.
+    """Read worlds from files, and divide them among the splits by `SHARES`.
 
-    Which world goes to which split depends on the files' names, the seed, and which splits are
-    asked for, never on how many samples.
+    The division depends only on the names of the files, the seed, and which splits are not empty.
+    It does not depend on the number of samples.
 
     Args:
-        path: An MJCF file, a mesh, a map of a real place, or a folder of them; or a cloud of
-            points.
-        counts: How many samples each split shall have; None for some if there are several worlds.
-        seed: What the worlds are dealt by.
+        path: An MJCF file, a mesh, a map of a real place, a folder of these, or a point cloud.
+        counts: Number of samples of each split; None for a default if there are several worlds.
+        seed: Seed of the division.
         allow_unseen: Whether worlds may have geoms that rays cannot see.
         materials: Whether worlds keep the names of their materials.
 
     Raises:
-        SceneError: A file cannot serve, two are the same world, or there are fewer worlds than
+        SceneError: if a file cannot be used, two are the same world, or there are fewer worlds than
             splits.
     """
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; expected MJCF, or a map")
+    # sorted: the division must not depend on the order of the file system
     files = sorted(world_files(path)) if path.is_dir() else [path]
-    scenes, parts = _read_files(files, materials)
+    scenes, part_files = _read_files(files, materials)
     if not scenes:
         raise SceneError(
             f"{path}: holds no world, or parts alone, which other files include; expected MJCF, "
             "meshes or maps (scenegen map makes one of point clouds)"
         )
     _check(scenes, allow_unseen)
-    notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
+    notes = (
+        [f"{path}: {named(part_files)} left out: parts, which other files include"]
+        if part_files
+        else []
+    )
     notes += [note for scene in scenes.values() for note in scene.notes]
     several = len(scenes) > 1
     splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
@@ -234,30 +283,31 @@ def read_scenes(
             "samples (bench --split train)"
         )
     order = np.random.default_rng(seed).permutation(len(scenes)).tolist()
-    shares = sum(SHARES[split] for split in splits)
-    sizes = {split: max(1, len(scenes) * SHARES[split] // shares) for split in splits}
+    total_share = sum(SHARES[split] for split in splits)
+    sizes = {split: max(1, len(scenes) * SHARES[split] // total_share) for split in splits}
+    # the first split gets the rest of the rounding
     sizes[splits[0]] = len(scenes) - sum(sizes[split] for split in splits[1:])
     by_number = list(scenes.values())
-    dealt = iter([by_number[number] for number in order])
-    worlds = {split: tuple(itertools.islice(dealt, sizes.get(split, 0))) for split in SPLITS}
+    shuffled = iter([by_number[number] for number in order])
+    worlds = {split: tuple(itertools.islice(shuffled, sizes.get(split, 0))) for split in SPLITS}
     return SceneWorlds(worlds, tuple(notes))
 
 
 def world_files(folder: Path) -> list[Path]:
-    """The files in a folder that may be worlds. Meshes are where no MJCF file is there, which may
-    refer to them; clouds are not: several may be of one place."""
-    there = list(folder.iterdir())
-    mjcf = [path for path in there if path.suffix == ".xml"]
-    others = MAPS if mjcf else (*MAPS, *MESHES)
-    return mjcf + [path for path in there if path.suffix in others]
+    """Files in a folder that may be worlds: MJCF and maps. Meshes count only where there is no MJCF
+    file, which might refer to them. Point clouds do not count: several may show one place."""
+    files = list(folder.iterdir())
+    mjcf = [path for path in files if path.suffix == ".xml"]
+    endings = MAPS if mjcf else (*MAPS, *MESHES)
+    return mjcf + [path for path in files if path.suffix in endings]
 
 
 def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
-    """The worlds among `files`, and the names of those that are parts of others.
+    """Read worlds. Returns them by path, and the names of files that other files include.
 
-    MJCF and meshes are read one after the other in a process of their own, which a file that never
-    ends, or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded
-    that this process loads again. Maps and clouds are read here, by code that is bounded itself.
+    MJCF and meshes are read in a separate process with limits on time and memory. It costs about a
+    second, as kernels are loaded twice. Maps and clouds are read in this process by code with its
+    own bounds.
     """
     read = Limited(
         functools.partial(_read_alone, materials=materials),
@@ -268,10 +318,12 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
     maps = [path for path in files if path.suffix in (*MAPS, *CLOUDS)]
     readings = [read_file(path) for path in maps]
     readings += run(read, [path for path in files if path not in maps], 1)
+    # as if read one by one: the first fault by name is reported
     readings.sort(key=lambda reading: reading.path)
     included = {path for reading in readings for path in reading.includes}
     scenes, parts = dict[Path, Scene](), list[str]()
     for reading in readings:
+        # an included file need not be a world by itself, so its faults do not count
         if real_path(reading.path) in included or reading.outcome is None:
             parts.append(reading.path.name)
         elif isinstance(reading.outcome, SceneError):
@@ -282,7 +334,8 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
 
 
 def _read_alone(path: Path, *, materials: bool) -> Reading:
-    """`read_file` in a process of its own, where Qhull may print: MuJoCo tells what is wrong."""
+    """Call `read_file` in the separate process. Its standard error is closed, as Qhull prints
+    there; MuJoCo's exceptions describe the fault."""
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 2)
     return read_file(path, materials=materials)
@@ -296,9 +349,10 @@ def _given_up(path: Path, reason: str) -> Reading:
 
 
 def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
-    """Raise SceneError for geoms that rays cannot see, for two files of the same solids, which
-    could come to lie in two splits, and for more than an archive may hold."""
-    owner, files, total = dict[bytes, Path](), set[str](), 0
+    """Check worlds together. Raises SceneError for geoms that rays cannot see, for two files with
+    the same solids, which could end in two splits, and for more files or bytes than an archive may
+    hold."""
+    owner, files, total_bytes = dict[bytes, Path](), set[str](), 0
     for path, scene in scenes.items():
         if scene.unseen and not allow_unseen:
             raise SceneError(
@@ -311,10 +365,11 @@ def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
                 f"{path}: the same world as {first.name}, whatever its geoms are called; remove "
                 "one of the two"
             )
-        total += len(scene.mjcf)
-        total += sum(len(scene.assets[name]) for name in scene.assets.keys() - files)
+        total_bytes += len(scene.mjcf)
+        # worlds may share files, which an archive holds once
+        total_bytes += sum(len(scene.assets[name]) for name in scene.assets.keys() - files)
         files |= {path.name, *scene.assets}
-        if total > MOST_ARCHIVE_BYTES or len(files) > MOST_MEMBERS:
+        if total_bytes > MOST_ARCHIVE_BYTES or len(files) > MOST_MEMBERS:
             raise SceneError(
                 f"{path.parent}: the worlds take more than {MOST_ARCHIVE_BYTES} bytes or "
                 f"{MOST_MEMBERS} files; use coarser meshes, or fewer worlds"

@@ -1,4 +1,4 @@
-"""Samples as a dataset of torch's: dictionaries of tensors, which its default collate batches."""
+"""Samples as a PyTorch dataset of dictionaries of tensors, which the default collate can batch."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,10 +11,10 @@ from scenegen.base.errors import DatasetError, short
 
 
 class TensorSamples(Dataset[dict[str, torch.Tensor]]):
-    """A map-style dataset: sample number → name of each field → its tensor.
+    """A map-style dataset: sample number → tensors by field name.
 
-    It can be pickled, and read in any process, as the samples themselves. Tensors are copies. Types
-    are those of the fields; torch has few operations for uint16, so classes become int32.
+    It can be pickled and read in any process. Tensors are copies with the types of the fields,
+    except that classes (uint16) become int32: torch supports few operations on uint16.
     """
 
     def __init__(self, samples: Any, names: Sequence[str]):
@@ -27,9 +27,10 @@ class TensorSamples(Dataset[dict[str, torch.Tensor]]):
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[dict[str, torch.Tensor]]:
-        """Several samples, as torch asks for a batch."""
+        """Read several samples; torch calls this for a batch."""
         return [
             {name: _tensor(getattr(sample, name)) for name in self.names}
+            # read together: a stream draws their units in parallel
             for sample in self.samples.__getitems__(indices)
         ]
 
@@ -38,10 +39,14 @@ class TensorSamples(Dataset[dict[str, torch.Tensor]]):
 
 
 def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSamples:
-    """`samples` as tensors: see `scenegen.draw.sample.Samples.torch`.
+    """Make a dataset of tensors; see `scenegen.draw.sample.Samples.torch`.
+
+    Args:
+        samples: The `Samples`.
+        fields: Names of the fields, or None for all.
 
     Raises:
-        DatasetError: There is no such field, or samples differ in its shape.
+        DatasetError: if a field does not exist, or its shape differs between samples.
     """
     known, schemas = samples.schema.names, samples.schemas
     shapes = {
@@ -55,7 +60,7 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
                 f"{samples}: torch() has no field {short(name)}; expected {', '.join(known)}"
             )
         if len(shapes[name]) > 1:
-            alike = [other for other in known if len(shapes[other]) == 1]
+            alike = [field for field in known if len(shapes[field]) == 1]
             raise DatasetError(
                 f"{samples}: torch(): {name} has several shapes, which make no batch; give "
                 f"fields={alike}, or some of them"

@@ -1,5 +1,4 @@
-"""Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
-lists?"""
+"""Checks of the manifest and of whole files: whether they can be read, and match the manifest."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,11 +19,18 @@ from scenegen.worlds.kinds import find_kind
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:
-    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it
-    cannot be read on.
+    """Read the manifest, and record faults in the ledger's page `manifest`.
 
-    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the
-    folder holds no dataset at all, or one of another kind than that.
+    Args:
+        folder: Folder of the dataset.
+        ledger: The ledger.
+        kind: A user's own kind, which may be imported.
+
+    Returns:
+        The manifest; None if it is too damaged to continue.
+
+    Raises:
+        DatasetError: if the folder holds no dataset, or one of another kind.
     """
     content = manifest.read_content(folder)
     contract = None
@@ -40,7 +46,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
                     )
                 with raised_as(DatasetError, "--kind: "):
                     find_kind(kind)
-            # spelled out now, so that what is wrong with it is found here
+            # computed now, so that faults in its tables are recorded here
             parsed.recipe  # noqa: B018
         _check_shards(parsed, page)
         contract = parsed
@@ -48,8 +54,8 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
 
 
 def _check_shards(contract: Manifest, page: Page) -> None:
-    """Whether the shards listed are those that the counts ask for, in order, and no other lies in
-    the folder."""
+    """Check that the listed shards have the right names, order and sizes, and that the folder has
+    no others."""
     where = NAME
     page.expect(
         contract.complete, f"{where}: complete is false: give the command that made it again"
@@ -73,7 +79,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
             scenes = contract.scenes
             if scenes is not None and not scenes.get(split):
                 raise BrokenError(f"{where}: scenes names no world for {split}, which has samples")
-            # of an incomplete dataset, shards between may be missing
+            # an incomplete dataset may lack shards in between
             stem = stem_of(split, number) if complete else entry.file.removesuffix(".h5")
             page.expect(
                 (entry.file, entry.worlds) == (f"{stem}.h5", f"{stem}.worlds.zip")
@@ -88,14 +94,14 @@ def _check_shards(contract: Manifest, page: Page) -> None:
 
 
 def _check_size(contract: Manifest, entry: ShardEntry, is_last: bool, page: Page) -> None:
-    """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
-    last of its split; and all shards but that one alike."""
-    where, each = NAME, contract.recipe.flight.viewpoints
+    """Check the number of samples of a shard: whole flights, and equal for all shards except the
+    last of a split."""
+    where, viewpoints = NAME, contract.recipe.flight.viewpoints
     page.expect(
-        is_last or entry.samples % each == 0,
+        is_last or entry.samples % viewpoints == 0,
         f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
     )
-    expected = max(contract.shard_samples // each, 1) * each
+    expected = max(contract.shard_samples // viewpoints, 1) * viewpoints
     page.expect(
         entry.samples <= expected and (is_last or entry.samples == expected),
         f"{where}: {entry.file} holds {entry.samples} samples, expected {expected} with "
@@ -115,14 +121,14 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
 def _rejections_add_up(contract: Manifest, page: Page) -> None:
     if len(page.kept) < len(contract.shards):
         return  # a shard could not be read: a fault of another check
-    for what in ("worlds", "viewpoints"):
+    for subject in ("worlds", "viewpoints"):
         total: Counter[str] = Counter()
         for rejected in page.kept:
-            total.update(rejected[what])
-        listed = contract.rejected.get(what, {})  # a manifest may leave it out
+            total.update(rejected[subject])
+        listed = contract.rejected.get(subject, {})  # a manifest may leave it out
         page.expect(
             dict(total) == listed,
-            f"{NAME}: rejected.{what} = {listed}, the shards count {dict(total)}",
+            f"{NAME}: rejected.{subject} = {listed}, the shards count {dict(total)}",
         )
 
 
@@ -132,19 +138,19 @@ MANIFEST = Check(
     shard=_written_for_these_parameters,
     folder=_rejections_add_up,
 )
-"""`read_contract` examines the manifest itself, before all else."""
+"""`read_contract` examines the manifest itself."""
 
 
 EXAMINED = Check(name="examined", quick=True)
-"""`verify` counts, and writes the faults: it sees the processes end."""
+"""`verify` counts shards and records those whose process ended."""
 
 
 def _same_sum(signed: SignedFile, page: Page) -> None:
-    found = sha256_in(signed.file)
+    digest = sha256_in(signed.file)
     page.count(files=1)
     page.expect(
-        found == signed.sha256,
-        f"{signed.name}: SHA-256 {found[:16]}…, the manifest lists {signed.sha256[:16]}…",
+        digest == signed.sha256,
+        f"{signed.name}: SHA-256 {digest[:16]}…, the manifest lists {signed.sha256[:16]}…",
     )
 
 
@@ -152,8 +158,7 @@ CHECKSUMS = Check(name="checksums", quick=True, file=_same_sum)
 
 
 LAYOUT = Check(name="layout", quick=True)
-"""The walk over a shard writes the faults: opening the file and unpacking its samples is the
-examination."""
+"""The walk over a shard records faults when it opens the file and unpacks samples."""
 
 
 def _worlds_from_files(worlds: Worlds, page: Page) -> None:
@@ -170,7 +175,9 @@ def _worlds_from_files(worlds: Worlds, page: Page) -> None:
 
 
 def _nothing_besides(worlds: Worlds, page: Page) -> None:
-    used = {name for it in worlds.documents.values() for name in referred(it, worlds.assets)}
+    used = {
+        name for document in worlds.documents.values() for name in referred(document, worlds.assets)
+    }
     stray = printable(", ".join(sorted(worlds.assets.keys() - used)[:3]))
     page.expect(not stray, f"{worlds.task.entry.worlds}: no world in it refers to {stray}")
 
@@ -182,15 +189,15 @@ def _look_at_archive(worlds: Worlds, page: Page) -> None:
 
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
     entry = shard.task.entry
-    found = np.unique(shard.file.column("world")).tolist()
+    sampled = np.unique(shard.file.column("world")).tolist()
     page.expect(
-        entry.first_world == found[0],
-        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {found[0]}",
+        entry.first_world == sampled[0],
+        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {sampled[0]}",
     )
-    there = found if shard.worlds is None else sorted(shard.worlds.documents)
+    archived = sampled if shard.worlds is None else sorted(shard.worlds.documents)
     page.expect(
-        there == found,
-        f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(found)}",
+        archived == sampled,
+        f"{entry.worlds}: holds worlds {_spans(archived)}, its samples are of {_spans(sampled)}",
     )
 
 
@@ -199,6 +206,6 @@ def _spans(numbers: Sequence[int]) -> str:
 
 
 ARCHIVES = Check(name="archives", quick=True, archive=_look_at_archive, shard=_worlds_of_samples)
-"""The walk over a shard adds the faults of an archive that cannot be read."""
+"""The walk over a shard records archives that cannot be read."""
 
 CHECKS = (MANIFEST, EXAMINED, CHECKSUMS, LAYOUT, ARCHIVES)

@@ -1,5 +1,4 @@
-"""`verify` holds a dataset folder against the contract: every shard is walked in a process of its
-own, then the whole is."""
+"""`verify`: examine every shard in its own process, then the dataset as a whole."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -49,12 +48,20 @@ CHECKS = tuple(
         key=lambda check: not check.quick,
     )
 )
-"""All checks in the order of the report: those that `--quick` makes come first."""
+"""All checks in the order of the report: those of `--quick` first."""
 
 
 def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> list[Check]:
-    """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
-    Raises ValueError for a name that leads to no check."""
+    """Select the checks of a dataset.
+
+    Args:
+        contract: Its manifest.
+        quick: Whether only quick checks are made.
+        own: The user's checks, as ``module:Object``; always made.
+
+    Raises:
+        ValueError: if there is no such check.
+    """
     fields = {"", *contract.fields}
     applying = [
         check
@@ -67,31 +74,36 @@ def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> lis
 
 
 def warm_up() -> None:
-    """Run the kernels that examining a shard needs, which its processes then have: a tenth of a
-    second once they are compiled."""
+    """Run the kernels for examinations before processes are forked, which then share them: a tenth
+    of a second once they are compiled."""
     recipe = preset("pillar")
     draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
 
 
 Findings = tuple[int, Ledger]
-"""What one shard's examination leaves for the whole folder's: its position in the manifest, and
-what was found."""
+"""Result of one shard: its position in the manifest, and its ledger."""
 
 
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
-    """Make every check of one shard by itself. What is wrong with its files becomes faults in the
-    ledger, and raises nothing."""
+    """Make all checks of one shard. Damaged files become faults, not errors.
+
+    Args:
+        task: The shard.
+
+    Returns:
+        Its position in the manifest, and its ledger.
+    """
     ledger, contract, entry = Ledger(), task.contract, task.entry
     checks = chosen_checks(contract, quick=task.quick, own=task.own)
 
-    def look(stage: str, at: Any) -> None:
-        """Make every check that looks at this stage."""
+    def _make_checks(stage: str, subject: Any) -> None:
+        """Make all checks of one level."""
         for check in checks:
             if (examination := getattr(check, stage)) is not None:
                 with ledger.checking(check.name) as page:
                     try:
-                        examination(at, page)
+                        examination(subject, page)
                     except Exception as error:
                         if check in CHECKS:
                             raise
@@ -101,13 +113,13 @@ def examine(task: Task) -> Findings:
     with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
         page.count(files=1)
         worlds = Worlds.read(task, file, path.name)
-        look("file", SignedFile(file, path.name, entry.worlds_sha256))
-        look("archive", worlds)
+        _make_checks("file", SignedFile(file, path.name, entry.worlds_sha256))
+        _make_checks("archive", worlds)
     path = contract.folder / entry.file
     with ledger.checking(LAYOUT.name) as page:
         with open_file(path) as file:
             if size_of(file) <= most_bytes(contract.layout, entry.samples):
-                look("file", SignedFile(file, path.name, entry.sha256))
+                _make_checks("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(path, entry.samples, contract.layout)
         if opened.stray_bytes:
             raise BrokenError(
@@ -118,21 +130,23 @@ def examine(task: Task) -> Findings:
         )
         page.count(files=1)
         shard = Shard(task, worlds, opened, opened.rejected())
-        look("shard", shard)
+        _make_checks("shard", shard)
         stored = [name for name in contract.fields if not (task.quick and FIELDS[name]["derived"])]
         for row in range(entry.samples):
             # a sample that cannot be unpacked does not end the walk
             with ledger.checking(LAYOUT.name) as page:
                 page.count(samples=1)
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
-                look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))
+                _make_checks(
+                    "sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes())
+                )
     return task.number, ledger
 
 
 SECONDS, SECONDS_A_SAMPLE = 120.0, 0.5
-"""A shard whose examination takes longer than this, and as much for every sample, is given up."""
+"""Time limit of a shard's examination, seconds, and the addition for each sample."""
 MEMORY_BYTES = 6 << 30
-"""Address space that examining one shard may take beyond what the process has."""
+"""Address space of a shard's examination beyond that of the process, bytes."""
 
 
 def verify(
@@ -147,29 +161,29 @@ def verify(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> Report:
-    """Check a dataset against the format, and by checks of your own.
+    """Check a dataset against the format, and with the user's checks.
 
     Args:
-        dataset: What `scenegen.load` takes: of a collection or a selection, every dataset is
-            checked whole, and that they go together.
-        quick: Make the cheap checks alone.
-        seed: Chooses the samples that are cast and made anew.
-        kind: A user's own kind, by which worlds may be drawn again: no module is imported because a
-            manifest names it.
-        own: Checks of your own, ``module:Object``, each a `Check`.
-        workers: Processes of this machine that examine a shard each; none can take this one down.
-        execute: What has the shards examined, instead. Where others see to a part of them, what
-            compares all of them is skipped.
-        on_start: Called with the number of samples once the processes run.
-        on_done: Called with the number of samples of every shard done.
+        dataset: As for `scenegen.load`. Of a collection or selection, every dataset is checked
+            completely, and also whether they can be read together.
+        quick: Whether only quick checks are made.
+        seed: Seed of the samples that are cast and drawn again.
+        kind: A user's own kind, which may be imported to draw worlds again. No module is imported
+            because a manifest names it.
+        own: The user's checks, as ``module:Object``, each a `Check`.
+        workers: Number of processes, which examine a shard each. A crash of one is a fault.
+        execute: Executor of the examinations, instead of `workers`. If it leaves shards to other
+            processes, checks that compare all shards are skipped.
+        on_start: Called with the number of samples when the workers have started.
+        on_done: Called with the number of samples of each examined shard.
 
     Returns:
-        The report. A fault fails a check of it, whatever it is.
+        The report. Faults never raise errors.
 
     Raises:
-        DatasetError: The folder holds no dataset at all, or one of another `kind`; or a name of
-            `own` leads to no check.
-        GenerationError: `execute` lost a shard for good.
+        DatasetError: if there is no dataset, it has another `kind`, or a check of `own` does not
+            exist.
+        GenerationError: if `execute` cannot finish a shard.
     """
     execute = execute or Local("", workers)
     walks = [
@@ -193,8 +207,8 @@ def verify(
 
 
 def _folders_of(name: Any) -> list[Path]:
-    """The folders of the datasets that a name stands for. Of one dataset no manifest is read: that
-    it is damaged is a fault to report."""
+    """Folders of the datasets of a name. The manifest of a single dataset is not read here: damage
+    is a fault to report."""
     folder = locate(name)
     if (folder / NAME).exists():
         return [folder]
@@ -202,7 +216,7 @@ def _folders_of(name: Any) -> list[Path]:
 
 
 class _Walk:
-    """The examination of one dataset."""
+    """Examination of one dataset."""
 
     def __init__(
         self,
@@ -229,24 +243,29 @@ class _Walk:
 
     @property
     def sees_all(self) -> bool:
-        """Whether all shards are examined here, and none elsewhere."""
+        """Whether this process examines all shards."""
         return len(self._tasks) == len(self._all_tasks)
 
     def run(self, on_start: Begun, on_done: Counted) -> None:
-        """Examine every shard, and then the whole."""
+        """Examine all shards, then the dataset.
+
+        Args:
+            on_start: Called when the workers have started.
+            on_done: Called with the number of samples of each examined shard.
+        """
         if self.contract is None:
             self.outcomes.append(self.ledger[MANIFEST.name].outcome(MANIFEST.name))
             return
-        order, waiting = deque(task.number for task in self._tasks), dict[int, Ledger]()
+        order, early = deque(task.number for task in self._tasks), dict[int, Ledger]()
         if self._tasks and not self._quick:
             warm_up()
-        guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
-        with closing(self._execute(guarded, self._tasks, on_start)) as results:
+        examination = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
+        with closing(self._execute(examination, self._tasks, on_start)) as results:
             for number, findings in results:
-                waiting[number] = findings
-                # in the order of shards, and no more of them kept than are early
-                while order and order[0] in waiting:
-                    self.ledger.add(waiting.pop(order.popleft()))
+                early[number] = findings
+                # ledgers are added in the order of shards; only early ones wait in memory
+                while order and order[0] in early:
+                    self.ledger.add(early.pop(order.popleft()))
                     self.ledger[EXAMINED.name].count(shards=1)
                 on_done(self._all_tasks[number].entry.samples)
         for check in self._checks:
@@ -264,43 +283,42 @@ class _Walk:
 
 
 def _together(walks: Sequence[_Walk]) -> Outcome:
-    """Whether datasets that are read as one share no world between splits, and no sample."""
+    """Check that datasets that are read as one share no world between splits, and no sample."""
     ledger, name = Ledger(), "together"
     with ledger.checking(name) as page:
         if not all(walk.sees_all for walk in walks):
             page.skipped = "compares all shards, and a part of them is examined here"
             return page.outcome(name)
-        split_of, where = dict[bytes, str](), dict[bytes, str]()
+        split_of, owner = dict[bytes, str](), dict[bytes, str]()
         for walk in walks:
             if walk.contract is None:
                 continue
             page.count(datasets=1)
-            shards = walk.contract.shards
             for split, digest in world_digests(walk.contract, walk.ledger["splits"]):
-                place = f"{walk.folder.name}, {split}"
-                before = split_of.setdefault(digest, split)
-                other = where.setdefault(digest, place)
+                location = f"{walk.folder.name}, {split}"
+                first_split = split_of.setdefault(digest, split)
+                first_owner = owner.setdefault(digest, location)
                 page.expect(
-                    before == split,
-                    f"{place}: a world has the same solids as one of {other}; no world may be in "
-                    "two splits",
+                    first_split == split,
+                    f"{location}: a world has the same solids as one of {first_owner}; no world "
+                    "may be in two splits",
                 )
             digests = b"".join(walk.ledger["digest"].kept)
-            first = sum(len(own) // 32 for own in walk.ledger["digest"].kept)
-            page.count(samples=first, shards=len(shards))
+            page.count(samples=len(digests) // 32, shards=len(walk.contract.shards))
             for n in range(0, len(digests), 32):
-                own = b"sample" + digests[n : n + 32]
-                other = where.setdefault(own, walk.folder.name)
+                key = b"sample" + digests[n : n + 32]
+                first_owner = owner.setdefault(key, walk.folder.name)
                 page.expect(
-                    other == walk.folder.name,
-                    f"{walk.folder.name}: holds a sample of {other}; leave one of the two out",
+                    first_owner == walk.folder.name,
+                    f"{walk.folder.name}: holds a sample of {first_owner}; leave one of the two "
+                    "out",
                 )
     return page.outcome(name)
 
 
 class _Examination(Limited):
-    """Fetches on another machine what a task reads of a store, before limits are set: that a store
-    is slow or refuses is no fault of the dataset."""
+    """Fetches the task's files from a store before limits apply: a slow store is no fault of the
+    dataset."""
 
     def __call__(self, task: Task) -> Findings:
         for name in (task.entry.file, task.entry.worlds):
@@ -309,10 +327,10 @@ class _Examination(Limited):
 
 
 def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) -> list[Task]:
-    """One a shard; none carries the list of all shards, which would make their sum grow as its
-    square."""
+    """Tasks of all shards. The list of shards is left out of their manifests: pickling it with each
+    task would take quadratic time."""
     bare = msgspec.structs.replace(contract, shards=())
-    every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
+    twins_of = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
     return [
         Task(
             contract=bare,
@@ -320,7 +338,7 @@ def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) ->
             number=number,
             quick=quick,
             seed=seed,
-            twins_of=every,
+            twins_of=twins_of,
             own=tuple(own),
         )
         for number, entry in enumerate(contract.shards)
@@ -332,7 +350,7 @@ def _seconds(task: Task) -> float:
 
 
 def _given_up(task: Task, reason: str) -> Findings:
-    """What is left of a shard whose process was ended."""
+    """Findings of a shard whose process was ended."""
     ledger = Ledger()
     fault = f"{task.entry.file} or {task.entry.worlds}: examining it {reason}"
     ledger[EXAMINED.name].fault(fault)

@@ -1,5 +1,4 @@
-"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way
-from the seed."""
+"""Checks that repeat randomly chosen samples: their scans, and everything from the seed on."""
 
 import math
 from dataclasses import dataclass
@@ -30,34 +29,40 @@ from scenegen.worlds.world import AnyWorld
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArchivedWorlds(SceneWorlds):
-    """Worlds from MJCF files, as they lie in a shard's archive; `scenes` only counts them."""
+    """Worlds from files, read from a shard's archive; `scenes` only counts them."""
 
     worlds: Worlds
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
-        """See `Source.world`."""
+        """Read a world; see `Source.world`.
+
+        Returns:
+            The world.
+        """
         return self.worlds.world(number)
 
 
 Views = list[tuple[int, int]]
-"""Samples of one flight: the row of each in its shard, and its number on the flight."""
+"""Samples of one flight: row in the shard, and position on the flight."""
 
 
 def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
-    """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
-    one that was scanned again, scanned so from the poses of the samples that are there, (row,
-    view). Raises BrokenError where nothing comes of it."""
+    """Draw a flight again; or, if the dataset was scanned again from another one, scan it from its
+    stored poses.
+
+    Call it only if `why_not_made` is empty. Raises BrokenError if it fails.
+    """
     contract, split, worlds = shard.task.contract, shard.task.entry.split, shard.worlds
     assert worlds is not None
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
-    failed = (GenerationError, RecipeError, SceneError)
-    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
+    errors = (GenerationError, RecipeError, SceneError)
+    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=errors):
         if contract.like is not None:
             with raised_as(BrokenError, f"{shard.task.entry.file}: "):
                 stored = (partial(shard.file.value, row=row) for row, _ in views)
-                poses = [[scan.pose for scan in scans_of(contract, one)] for one in stored]
+                poses = [[scan.pose for scan in scans_of(contract, fields)] for fields in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
             world = worlds.world(names[0])
             return scan_again(world, poses, recipe, key, names=names, engine=engine)
@@ -68,7 +73,7 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
 
 
 def why_not_made(contract: Manifest) -> str:
-    """Why flights cannot be made again here; empty where they can."""
+    """Why flights cannot be made again here; "" if they can."""
     if not contract.is_drawn and contract.scenes is None and contract.like is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
         return (
@@ -79,7 +84,7 @@ def why_not_made(contract: Manifest) -> str:
 
 
 def why_not_scanned(contract: Manifest) -> str:
-    """Why archived worlds cannot be scanned again here; empty where they can."""
+    """Why archived worlds cannot be scanned again here; "" if they can."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.builtin:
@@ -92,15 +97,15 @@ def why_not_scanned(contract: Manifest) -> str:
 
 
 def why_other(contract: Manifest) -> str:
-    """Why what is made again here need not have the dataset's bits; empty where it must."""
+    """Why repeated samples may differ in bits from the dataset; "" if they must be equal."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
-    if contract.noise is not None and (drawn := contract.noise.version) != VERSION:
-        return f"made with noise of version {drawn}, here is version {VERSION}"
+    if contract.noise is not None and (noise_version := contract.noise.version) != VERSION:
+        return f"made with noise of version {noise_version}, here is version {VERSION}"
     differing = differences(dict(contract.software), software(), ("there", "here"))
-    there, here = contract.tables.version, contract.recipe.version
-    if contract.is_drawn and there != here:
-        differing.append(f"recipe.version is {there} there, {here} here")
+    stored_version, version = contract.tables.version, contract.recipe.version
+    if contract.is_drawn and stored_version != version:
+        differing.append(f"recipe.version is {stored_version} there, {version} here")
     return f"made with other software: {', '.join(differing)}" if differing else ""
 
 
@@ -130,29 +135,30 @@ def _cast_again(sample: Sample, page: Page) -> None:
         if wrong.any():
             n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
             ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
-            which = f", earlier scan {number}" if number else ""
+            scan_name = f", earlier scan {number}" if number else ""
             page.fault(
-                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray "
-                f"{ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
+                f"{sample.where}{scan_name}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; "
+                f"ray {ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
                 f"{ranges_again[n]:.7g} m away"
             )
 
 
 def _effort(world: AnyWorld, max_range_m: float) -> int:
-    """How many solids an auditor tries for a ray, or as many as take its time."""
+    """Number of solids that the auditor tries for a ray; for a map, a number that takes the same
+    time."""
     if isinstance(world, Place):
         return math.ceil(300 * max_range_m / world.voxels.voxel_m)
     return len(world.solids.shape) + len(world.solids.triangles)
 
 
 def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
-    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
-    stored ones, where the same software made these. Raises BrokenError."""
+    """Clean scans of a noisy sample by the dataset's own engine. With noise added, they must equal
+    the stored scans if the software is the same. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.first_place + sample.row, contract.recipe.flight.viewpoints)
-    failed = (GenerationError, ValueError)
-    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=failed):
+    errors = (GenerationError, ValueError)
+    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=errors):
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         key = UnitKey(contract.seed, task.entry.split, unit)
         seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
@@ -187,7 +193,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
 
 
 def _flights(shard: Shard) -> list[tuple[int, Views]]:
-    """Units of which the shard has samples, and (row, view) of these. Raises BrokenError."""
+    """Units with samples in the shard, and (row, view) of each sample. Raises BrokenError."""
     task = shard.task
     by_unit: dict[int, Views] = {}
     for row in range(task.entry.samples):
@@ -197,8 +203,7 @@ def _flights(shard: Shard) -> list[tuple[int, Views]]:
 
 
 def _compare_flight(shard: Shard, unit: int, views: Views, page: Page) -> None:
-    """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
-    bit for bit."""
+    """Make a unit again, and compare its world and samples, (row, view), bit for bit."""
     task = shard.task
     assert shard.worlds is not None
     again = _flown_again(shard, unit, views)

@@ -1,5 +1,5 @@
-"""Checks that splits share nothing: no world, and no map that looks nearly the same; and the search
-for such near-twins."""
+"""Checks that splits share no world, and no nearly equal maps; and the search for such
+near-duplicates."""
 
 import functools
 from collections.abc import Iterator
@@ -23,30 +23,28 @@ from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
 
 OCCUPIED_IOU = 0.9
-"""Two samples are near-twins only if the intersection over union of their occupied voxels is at
-least this."""
+"""Minimum intersection over union of the occupied voxels of near-duplicates."""
 OBSERVED_IOU = 0.5
-"""Two samples are near-twins only if the intersection over union of their observed voxels is at
-least this. The occupied voxels alone do not decide: two worlds with next to nothing on a flat floor
-have the same, but from another height and heading, rays hit other parts of that floor."""
+"""Minimum intersection over union of the observed voxels of near-duplicates. Occupied voxels alone
+do not decide: two nearly empty worlds have the same flat floor, but from another height and
+heading, rays hit other parts of it."""
 STANDING_IOU, FLOOR_SHARE = 0.5, 0.95
-"""Two samples are near-twins only if the intersection over union of what stands on their floor is
-at least the first number. A layer is floor where both maps fill at least the second number of it.
-Two floors that are nearly empty may by chance be observed alike, too; what stands on them then
-tells them apart."""
-MOST_COMPARED = 5_000
-"""This many pairs are compared voxel by voxel at most."""
+"""Near-duplicates also need this intersection over union of what stands on the floor; a layer is
+floor if both maps fill at least the second number of it. Nearly empty floors may by chance be
+observed alike; what stands on them then distinguishes them."""
+MAX_COMPARED = 5_000
+"""Maximum number of pairs that are compared voxel by voxel."""
 MOST_TWINS = 20_000
-"""This many samples are searched at most, evenly spread: each takes 2.5 KB of memory until all are
-seen, and is held against thousands of others."""
+"""Maximum number of samples in the search, evenly spread. Each takes 2.5 KB of memory until the
+end, and is compared with thousands of others."""
 BLOCKS = (8, 8, 5)
-"""Blocks of a map along x, y and z."""
+"""Number of blocks of a map along x, y and z."""
 
 
 def signature(mask: Mask) -> NDArray[np.int32]:
-    """Count the true voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
+    """Count the true voxels in each of 8 x 8 x 5 blocks of a map. Returns a flat array (320,)."""
     sums, blocks = mask, np.zeros(BLOCKS, np.int32)
-    for axis in (2, 1, 0):  # along the rows in memory first
+    for axis in (2, 1, 0):  # contiguous axis first: it is the fastest, and shrinks the array
         count, parts = mask.shape[axis], BLOCKS[axis]
         begins = range(0, count, -(-count // parts))
         sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.int32)
@@ -57,60 +55,69 @@ def signature(mask: Mask) -> NDArray[np.int32]:
 def candidates(
     occupied: NDArray[np.int32], observed: NDArray[np.int32], splits: Ints
 ) -> tuple[Ints, bool]:
-    """Find the pairs of samples of two splits that may be near-twins.
+    """Find pairs of samples in different splits that may be near-duplicates.
 
-    Two maps have at most as many voxels in common as the smaller count of each block allows, so
-    that their blocks bound their intersection over union from above. Sorted by how much is
-    occupied, only neighbours are looked at.
+    The common voxels of two maps are at most the smaller count of each block, which bounds their
+    intersection over union. Samples are sorted by the number of occupied voxels, so that only
+    neighbours are compared.
 
     Args:
-        occupied: The `signature` of each sample's occupied voxels, (n, 320).
+        occupied: `signature` of each sample's occupied voxels, (n, 320).
         observed: The same of its observed voxels, (n, 320).
-        splits: The number of its split, (n,).
+        splits: Number of each sample's split, (n,).
 
     Returns:
-        The pairs (P, 2), and whether these are all: then none is missed.
+        Pairs (P, 2), and whether all were found.
     """
     counts = occupied.sum(axis=1, dtype=np.int64)
     order = np.argsort(counts, kind="stable")
     ends = np.searchsorted(OCCUPIED_IOU * counts[order], counts[order], side="right")
     pairs = list[tuple[int, int]]()
-    for place, one in enumerate(order.tolist()):
-        if not counts[one]:
+    for place, sample in enumerate(order.tolist()):
+        if not counts[sample]:
             continue  # an empty map has no twin
-        others = order[place + 1 : ends[place]]
-        others = others[splits[others] != splits[one]]
-        for blocks, least in ((occupied, OCCUPIED_IOU), (observed, OBSERVED_IOU)):
-            common = np.minimum(blocks[others], blocks[one]).sum(axis=1)
-            union = np.maximum(blocks[others], blocks[one]).sum(axis=1)
-            others = others[common >= (least - 1e-9) * union]
-        pairs += [(one, other) for other in others.tolist()]
-        if len(pairs) > MOST_COMPARED:
-            return np.array(pairs[:MOST_COMPARED]), False
+        neighbours = order[place + 1 : ends[place]]
+        neighbours = neighbours[splits[neighbours] != splits[sample]]
+        for blocks, min_iou in ((occupied, OCCUPIED_IOU), (observed, OBSERVED_IOU)):
+            common = np.minimum(blocks[neighbours], blocks[sample]).sum(axis=1)
+            union = np.maximum(blocks[neighbours], blocks[sample]).sum(axis=1)
+            neighbours = neighbours[common >= (min_iou - 1e-9) * union]
+        pairs += [(sample, neighbour) for neighbour in neighbours.tolist()]
+        if len(pairs) > MAX_COMPARED:
+            return np.array(pairs[:MAX_COMPARED]), False
     return np.array(pairs, np.int64).reshape(-1, 2), True
 
 
 def overlap(a: Mask, b: Mask) -> float:
-    """Return the intersection over union of two maps; 0 where both are empty."""
+    """Intersection over union of two maps; 0 if both are empty.
+
+    Args:
+        a: Mask of the first map.
+        b: Mask of the second map, of the same shape.
+    """
     return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)
 
 
 def standing_overlap(a: Mask, b: Mask) -> float:
-    """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else
-    is there."""
+    """`overlap` of two maps without the layers that are floor in both; 1 if both are empty then.
+
+    Args:
+        a: Mask of the first map.
+        b: Mask of the second map, of the same shape.
+    """
     floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE
     a, b = a[:, :, ~floor], b[:, :, ~floor]
     return overlap(a, b) if a.any() or b.any() else 1.0
 
 
 DIGEST_BYTES = 32
-"""Length of a world's digest."""
-MOST_OPEN = 100
-"""This many shards are open at once at most."""
+"""Length of a world's digest, bytes."""
+MAX_OPEN = 100
+"""Maximum number of open shards."""
 SECONDS_A_PAIR = 1.0
-"""Comparing samples may take so much longer for every pair, seconds."""
+"""Additional time for the comparison of a pair, seconds."""
 Place = tuple[int, int]
-"""A sample: number of its shard, row in it."""
+"""A sample: number of its shard, and its row."""
 
 
 def _digest_worlds(worlds: Worlds, page: Page) -> None:
@@ -127,13 +134,20 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
             numbers.append(number)
         except BrokenError as error:
             page.fault(str(error))
-    page.kept.append(
-        (worlds.task.number, b"".join(digests), np.array(numbers, np.int32))
-    )  # there may be millions
+    # joined to one value: there may be millions of worlds
+    page.kept.append((worlds.task.number, b"".join(digests), np.array(numbers, np.int32)))
 
 
 def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]:
-    """The split and the digest of every world that was examined."""
+    """Digests of all examined worlds.
+
+    Args:
+        contract: Manifest of the dataset.
+        page: Page of the check `splits`.
+
+    Yields:
+        The split and the digest of each world.
+    """
     for number, digests, _ in page.kept:
         for first in range(0, len(digests), DIGEST_BYTES):
             yield contract.shards[number].split, digests[first : first + DIGEST_BYTES]
@@ -142,18 +156,22 @@ def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]
 def _in_one_split(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
-    digests = np.frombuffer(b"".join(some for _, some, _ in page.kept), f"S{DIGEST_BYTES}")
-    worlds = np.concatenate([of for _, _, of in page.kept])
-    shards = np.repeat([shard for shard, _, _ in page.kept], [len(of) for _, _, of in page.kept])
+    digests = np.frombuffer(
+        b"".join(shard_digests for _, shard_digests, _ in page.kept), f"S{DIGEST_BYTES}"
+    )
+    worlds = np.concatenate([numbers for _, _, numbers in page.kept])
+    shards = np.repeat(
+        [shard for shard, _, _ in page.kept], [len(numbers) for _, _, numbers in page.kept]
+    )
     splits = [entry.split for entry in contract.shards]
-    order = np.argsort(digests, kind="stable")  # the same ones stay in the order of shards
+    order = np.argsort(digests, kind="stable")  # equal digests stay in the order of shards
     for n in np.flatnonzero(digests[order[1:]] == digests[order[:-1]]):
         first, second = order[n : n + 2]
-        ours, theirs = splits[shards[second]], splits[shards[first]]
+        split, first_split = splits[shards[second]], splits[shards[first]]
         page.expect(
-            ours == theirs,
-            f"world {worlds[second]} of {ours} has the same solids as world {worlds[first]} of "
-            f"{theirs}, expected another one",
+            split == first_split,
+            f"world {worlds[second]} of {split} has the same solids as world {worlds[first]} of "
+            f"{first_split}, expected another one",
         )
 
 
@@ -186,10 +204,10 @@ def _compare(contract: Manifest, page: Page) -> None:
             seconds=GUARD_S + SECONDS_A_PAIR * len(pairs),
             memory_bytes=GUARD_BYTES,
         )
-    for one, other, occupied_iou, seen_iou in twins:
+    for first, second, occupied_iou, seen_iou in twins:
         page.fault(
-            f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
-            f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU "
+            f"{contract.shards[first[0]].file}: sample {first[1]} shows the map of "
+            f"{contract.shards[second[0]].file}: sample {second[1]} (occupied IoU "
             f"{occupied_iou:.3f}, observed {seen_iou:.3f}), expected another world"
         )
     if not complete and not twins:
@@ -199,11 +217,14 @@ def _compare(contract: Manifest, page: Page) -> None:
 def _find_twins(
     task: tuple[dict[int, tuple[Path, int, Layout]], list[tuple[Place, Place]]],
 ) -> list[tuple[Place, Place, float, float]]:
-    """The pairs of samples that are near-twins, with the overlap of their occupied and of their
-    observed voxels. Opens the shards again, which is not for `verify`'s own process to do."""
+    """Compare pairs of samples. Returns near-duplicates with the overlap of their occupied and
+    observed voxels.
+
+    It opens untrusted shards, which the process of `verify` must not do.
+    """
     shards, pairs = task
 
-    @functools.lru_cache(maxsize=MOST_OPEN)
+    @functools.lru_cache(maxsize=MAX_OPEN)
     def opened(number: int) -> ShardFile:
         return open_shard(*shards[number])
 

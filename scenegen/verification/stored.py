@@ -1,4 +1,4 @@
-"""Checks of what is stored in each sample, and of what follows from it, computed anew and compared
+"""Checks of stored fields: laws that they satisfy, and derived fields computed again and compared
 bit for bit."""
 
 import hashlib
@@ -24,23 +24,23 @@ from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
 
 EARLIER = ("earlier_ranges", "earlier_position", "earlier_quaternion")
-"""What the digest of one of several scans covers besides, after the digest without."""
+"""Fields that extend the digest of a sample with several scans."""
 LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
-"""What the digest of one with labels covers besides, after the digest without them."""
+"""Fields that extend the digest of a labelled sample."""
 NORMALS = ("return_normal",)
-"""What the digest of one with normals covers besides, after the digest without them."""
+"""Fields that extend the digest of a sample with normals."""
 KNOWN = ("known", "ray_known")
-"""What the digest of one of a map covers besides, after the digest without them."""
+"""Fields that extend the digest of a sample in a map of a real place."""
 LEAN = 1e-9
-"""What rounding may add to a body's lean, as a cosine."""
+"""Tolerance of the cosine of a body's tilt."""
 
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    whole = sample.content.copy()
+    content_hash = sample.content.copy()
     for name in ("world", "viewpoint"):
-        whole.update(sample.fields[name].tobytes())
-    digest = whole.digest()
+        content_hash.update(sample.fields[name].tobytes())
+    digest = content_hash.digest()
     for names in (EARLIER, LABELLED, NORMALS, KNOWN):
         if names[0] in sample.fields:
             digest = hashlib.sha256(
@@ -84,33 +84,37 @@ def _centred(sample: Sample, page: Page) -> None:
         page.expect(
             abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1"
         )
-    if mapping.tilt_mps or sample.contract.like is None:  # which keeps the poses that are there
-        most_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
+    # a dataset like another one keeps poses that its own mapping need not allow
+    if mapping.tilt_mps or sample.contract.like is None:
+        max_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
         upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
-        most = f"mapping.most_tilt_deg = {most_deg:g}" if most_deg else "0 degrees, without a tilt"
-        lawful = bool((upright >= math.cos(math.radians(most_deg)) - LEAN).all())
-        page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
+        limit = f"mapping.most_tilt_deg = {max_deg:g}" if max_deg else "0 degrees, without a tilt"
+        is_upright = bool((upright >= math.cos(math.radians(max_deg)) - LEAN).all())
+        page.expect(is_upright, f"{sample.where}: a body leans by more than {limit}")
     with raised_as(BrokenError, f"{sample.where}: "):
-        # the sensor's own place is enough where the map is about it
-        here = (
+        # a centred map depends on the position only, which is valid even if the attitude is not
+        expected = (
             grid.origin_at(fields["position"])
             if mapping.centred
             else mapping.origin(grid, sample.scans[0].pose)
         )
-    off = float(np.abs(fields["origin"] - here).max())
-    place = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
+    offset_m = float(np.abs(fields["origin"] - expected).max())
+    reference = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
     page.expect(
-        off == 0.0, f"{sample.where}: origin is {off:.3g} m from {place} less half the grid"
+        offset_m == 0.0,
+        f"{sample.where}: origin is {offset_m:.3g} m from {reference} less half the grid",
     )
 
 
 def _lawful(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    most, wrong = sample.contract.lidar.max_range_m, 0
+    max_range_m, invalid = sample.contract.lidar.max_range_m, 0
     for name in ("ranges", "earlier_ranges"):
         ranges = sample.fields.get(name, np.empty(0, np.float32))
-        wrong += int((~(ranges >= 0) | ((ranges > most) & np.isfinite(ranges))).sum())
-    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
+        invalid += int((~(ranges >= 0) | ((ranges > max_range_m) & np.isfinite(ranges))).sum())
+    page.expect(
+        not invalid, f"{sample.where}: {invalid} ranges are not from 0 to {max_range_m:g} m, or inf"
+    )
     if "known" in sample.fields:
         unknown = np.count_nonzero(sample.fields["occupancy"] & ~sample.fields["known"])
         page.expect(not unknown, f"{sample.where}: {unknown} voxels are occupied and not known")
@@ -127,8 +131,11 @@ def _lawful(sample: Sample, page: Page) -> None:
             f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied",
         )
     if "free" in sample.fields:
-        both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
-        page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
+        contradictions = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
+        page.expect(
+            not contradictions,
+            f"{sample.where}: {contradictions} voxels are both free and observed",
+        )
 
 
 def _part_laws(sample: Sample, page: Page) -> None:
@@ -140,29 +147,31 @@ def _part_laws(sample: Sample, page: Page) -> None:
             page.fault(f"{sample.where}: {line}")
 
 
-def _same(sample: Sample, name: str, again: NDArray[Any], source: str, page: Page) -> None:
-    """Hold a stored field against what follows `again` from its `source`."""
-    stored, bits = sample.fields[name], f"u{again.itemsize}"
-    if np.array_equal(stored.view(bits), again.view(bits)):
+def _expect_equal(
+    sample: Sample, name: str, expected: NDArray[Any], source: str, page: Page
+) -> None:
+    """Compare a stored field bit for bit with one that was computed again from `source`."""
+    stored, bits = sample.fields[name], f"u{expected.itemsize}"
+    if np.array_equal(stored.view(bits), expected.view(bits)):
         return
-    differing = np.argwhere(stored.view(bits) != again.view(bits))
+    differing = np.argwhere(stored.view(bits) != expected.view(bits))
     first = tuple(int(n) for n in differing[0]) if len(differing) else ()
-    here = f", at {first} {stored[first]} is stored, {again[first]} expected" if first else ""
+    example = f", at {first} {stored[first]} is stored, {expected[first]} expected" if first else ""
     page.fault(
         f"{sample.where}: {name} is not what follows from {source}: {len(differing)} voxels "
-        f"differ{here}"
+        f"differ{example}"
     )
 
 
 def _tudf(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     again = distance_field(sample.fields["occupancy"], sample.contract.grid)
-    _same(sample, "tudf", again, "occupancy", page)
+    _expect_equal(sample, "tudf", again, "occupancy", page)
 
 
 def _seen(name: str, sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    _same(sample, name, getattr(sample.seen, name), "ranges", page)
+    _expect_equal(sample, name, getattr(sample.seen, name), "ranges", page)
 
 
 def _occupancy(sample: Sample, page: Page) -> None:
@@ -175,9 +184,9 @@ def _occupancy(sample: Sample, page: Page) -> None:
         again, known = resample(solids, grid, origin)
     else:
         again = rasterize(solids, grid, origin)
-    _same(sample, "occupancy", again, f"world {sample.world}", page)
+    _expect_equal(sample, "occupancy", again, f"world {sample.world}", page)
     if "known" in sample.fields:
-        _same(sample, "known", known, f"world {sample.world}", page)
+        _expect_equal(sample, "known", known, f"world {sample.world}", page)
 
 
 def _rays_known(sample: Sample, page: Page) -> None:
@@ -186,7 +195,7 @@ def _rays_known(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     again = world.unknown_m(sample.scans[0]) <= known.most_unknown_m
-    _same(sample, "ray_known", again, f"world {sample.world}", page)
+    _expect_equal(sample, "ray_known", again, f"world {sample.world}", page)
 
 
 def _parts_again(sample: Sample, page: Page) -> None:
@@ -202,7 +211,7 @@ def _parts_again(sample: Sample, page: Page) -> None:
     for name, settings in contract.parts.items():
         again = PARTS[name].compute(sample.fields, world, contract.recipe, settings)
         for field, values in again.items():
-            _same(sample, field, values, f"world {sample.world}", page)
+            _expect_equal(sample, field, values, f"world {sample.world}", page)
 
 
 CHECKS = (

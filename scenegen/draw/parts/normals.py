@@ -5,30 +5,39 @@ from dataclasses import dataclass
 from typing import Any
 
 UNIT = 1e-6
-"""How far from 1 the length of a normal may be: it is stored in float32."""
+"""Tolerance of the length of a normal, which is stored in float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Normals:
-    """There is nothing to set."""
+    """Settings of the part: none."""
 
 
 class NormalsPart:
-    """See `scenegen.draw.parts.Part`."""
+    """The part `normals`; see `scenegen.draw.parts.Part`."""
 
     help: str = "Store the surface normal at every return."
     choices: tuple[str, ...] = ()
     settings: type = Normals
 
     def resolve(self, choice: Any, class_names: Callable[[Any], set[str]]) -> Normals:
-        """See `Part.resolve`."""
+        """Make the settings; see `Part.resolve`.
+
+        Returns:
+            Empty settings.
+        """
         return Normals()
 
     def compute(
         self, fields: Mapping[str, Any], world: Any, recipe: Any, settings: Normals
     ) -> dict[str, Any]:
-        """See `Part.compute`: the outward normal of what each ray meets first, whatever noise made
-        of its range."""
+        """Compute the outward normal of the surface that each ray hits first; see `Part.compute`.
+
+        The clean ray counts: noise changes ranges, not normals.
+
+        Returns:
+            The field of the group "normals", (*rays, 3), in the world's frame.
+        """
         import numpy as np
 
         from lidarsim import AnalyticEngine
@@ -46,14 +55,18 @@ class NormalsPart:
     def broken_laws(
         self, fields: Mapping[str, Any], settings: Normals, *, exact: bool
     ) -> Iterator[str]:
-        """See `Part.broken_laws`: normals have length 1 where a ray returned, and 0 elsewhere."""
+        """Check that normals have length 1 at returns, and are 0 elsewhere.
+
+        Yields:
+            A line if some are wrong.
+        """
         import numpy as np
 
         lengths = np.linalg.norm(fields["return_normal"].astype(float), axis=-1)
         returned = np.isfinite(fields["ranges"])
         wrong = np.count_nonzero(lengths[~returned])
         unit = np.abs(lengths - 1.0) <= UNIT
-        # noise may tell of a return where the ray itself met nothing
+        # noise may add a return where the ray itself hits nothing
         unit |= (lengths == 0.0) & (not exact)
         wrong += np.count_nonzero(returned & ~unit)
         if wrong:
