@@ -75,7 +75,7 @@ def inspect(
     predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
     from scenegen.model.config import NetworkConfig
-    from scenegen.view.inspect import MOST_MEASURED, misfits
+    from scenegen.view.inspect import MAX_MEASURED, misfits
     from scenegen.view.inspect import inspect as examine
 
     name = type_of(dataset)
@@ -93,7 +93,7 @@ def inspect(
     with Progress("inspect", shown=(every or keep) and not as_json) as progress:
         found = examine(
             opened,
-            most=None if every else MOST_MEASURED,
+            most=None if every else MAX_MEASURED,
             keep=keep,
             workers=workers,
             on_start=progress.start,

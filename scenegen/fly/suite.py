@@ -196,7 +196,7 @@ def map_courses(folder: Path | None) -> list[Course]:
         file = Path(name) if folder is None else min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
-                f"{folder}: has no {name}; expected {', '.join(MAPS)}, whose sources the page on "
+                f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the page on "
                 "flights names"
             )
         courses.append(_course(str(file), None, seed, document))

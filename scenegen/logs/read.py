@@ -337,7 +337,7 @@ def _camera(calibration: Path, source: Path) -> Pose:
     if row is None:
         raise DatasetError(
             f"{calibration}: {'has no line Tr' if calibration.exists() else 'no such file'}; "
-            f"expected the sensor's pose in the camera, as the poses in {source} are the camera's; take "
-            f"it from KITTI's {TR_ARCHIVE}; or --poses-of sensor, if poses are the sensor's"
+            f"expected the sensor's pose in the camera, whose poses {source} has: take it from "
+            f"KITTI's {TR_ARCHIVE}; or --poses-of sensor, if the poses are the sensor's"
         )
     return pose_of_matrix(row, f"{calibration}: Tr")
