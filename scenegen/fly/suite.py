@@ -196,8 +196,8 @@ def map_courses(folder: Path | None) -> list[Course]:
         file = Path(name) if folder is None else min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
-                f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the page on "
-                "flights names"
+                f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the "
+                "page on flights names"
             )
         courses.append(_course(str(file), None, seed, document))
     return courses

@@ -172,6 +172,15 @@ def look_at(
 
     # a damaged part must not hide the others: they may show what is wrong
     def read_part(field: str, find: Callable[[], Any]) -> Any:
+        """Read a part, or note why it is missing.
+
+        Args:
+            field: Name of the part, for the note.
+            find: Function that reads it.
+
+        Returns:
+            The part; None if it cannot be read.
+        """
         try:
             return find()
         except (DatasetError, ValueError) as error:
