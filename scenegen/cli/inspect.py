@@ -94,7 +94,7 @@ def inspect(
     from scenegen.view.inspect import inspect as examine
 
     name = type_of(dataset)
-    # None is a name that has yet to be downloaded, which only datasets are
+    # None is a path of no type: opening it below says what is wrong with it
     if name not in (None, "dataset", "collection", "selection"):
         options = {"columns": columns} if name == "scan" else {}
         facts = function_for(dataset, "facts")(Path(dataset), **options)
@@ -118,7 +118,7 @@ def inspect(
     # datasets of a collection may share a sensor: one warning is enough
     sensors = dict.fromkeys(sensing.lidar for sensing in opened.settings)
     warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
-    # networks need heights that they can halve; warn before training does
+    # networks halve maps three times: warn now of a grid that training would refuse
     try:
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
     except ValueError as error:

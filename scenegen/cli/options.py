@@ -420,7 +420,7 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[An
     from scenegen.dataset.collection import open_data
 
     opened = [open_data(dataset, shown=shown) for dataset in datasets]
-    # incomplete datasets are refused, unless they are found here and have no sample at all
+    # of those found here, an empty one is left out; one that is incomplete is refused, as always
     for path in () if opened else sorted(Path("data").glob("*/dataset.json")):
         candidate = open_data(path.parent, partial=True)
         if any(len(candidate.split(split)) for split in SPLITS):

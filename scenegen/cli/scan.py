@@ -142,8 +142,8 @@ def _cell(value: Any) -> str:
 @click.option(
     "--sequence",
     is_flag=True,
-    help="With --flight: write a log of scans at the sensor's rate along a long flight: a folder in "
-    "the layout of KITTI's odometry, or an .mcap file for ROS 2.",
+    help="With --flight: write a log, which has scans at the sensor's rate along a long flight: a "
+    "folder in the layout of KITTI's odometry, or an .mcap file for ROS 2.",
 )
 @options_of(
     Cruise,

@@ -120,6 +120,7 @@ def convert(
     finally:
         for folder in out.glob("**/"):  # temporary files of killed runs
             remove_drafts(folder)
+    # in the order of samples, however workers finished
     lines = tuple(line for rows in tasks for line in broken[rows])
     remaining = sum(len(rows.numbers) for rows in whole) - total
     notes = form.notes() if isinstance(form, Classed) else []
@@ -137,6 +138,7 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
         if all(path.exists() for path in paths) and not left_out.exists():
             existing += len(numbers)
             continue
+        # datasets of a collection may have different sensors
         sensor = samples.home(numbers[0]).lidar
         chosen, lines = list[tuple[int, Sample]](), list[str]()
         for number in numbers:

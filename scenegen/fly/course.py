@@ -227,6 +227,7 @@ def _flown(row: Json) -> Flown:
     check(flown)
     if not np.isfinite(commands).all():
         raise ValueError("commands that are not finite")
+    # a flight ends within its last period
     if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
     return replace(flown, commands=commands)

@@ -141,6 +141,7 @@ class Flight(gymnasium.Env[Observation, Command]):
         for command in commands:
             if flying.outcome is None:
                 reward += flying.step(command)
+        # Gymnasium counts running out of time as a truncation, not an end
         ended = flying.outcome not in (None, "timeout")
         info: dict[str, Any] = {"outcome": flying.outcome} if flying.outcome else {}
         return self._observed(), reward, ended, flying.outcome == "timeout", info

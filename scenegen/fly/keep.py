@@ -37,6 +37,7 @@ def main() -> None:
     if not robot:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        # address space, not resident memory, which Linux cannot limit so
         resource.setrlimit(resource.RLIMIT_AS, (int(memory_bytes), int(memory_bytes)))
         os.dup2(write_end, 2)
         os.execvp(command[0], command)

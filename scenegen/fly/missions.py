@@ -173,7 +173,7 @@ def _draw(
         nodes = _way(room.blocked, voxels)
         if not len(nodes):
             continue
-        path = room.origin + (nodes + 0.5) * VOXEL_M
+        path = room.origin + (nodes + 0.5) * VOXEL_M  # centres of voxels
         # straighten: from each point go to the farthest that can be reached in a line
         begin, shortest = 0, 0.0
         while begin < len(path) - 1:

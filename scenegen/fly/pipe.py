@@ -101,6 +101,7 @@ class PipeRobot:
             # one core, one thread: more would only wait for one another
             env=os.environ | {"OMP_NUM_THREADS": "1"},
         )
+        # a full pipe must not block us: `_exchange` keeps the time
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             os.set_blocking(pipe.fileno(), False)

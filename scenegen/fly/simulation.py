@@ -71,6 +71,7 @@ class Simulation:
         mission, self._clearance = self.mission, self.world.clearance
         east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
         length = math.sqrt(east * east + north * north)
+        # the vehicle starts facing its goal
         facing = (east / length, north / length) if length else (1.0, 0.0)
         self.state = np.array([*mission.start, *([0.0] * 6), *facing])
         self.time_s, self.periods = 0.0, 0
@@ -224,7 +225,7 @@ class Simulation:
         """Return figures of the flight so far, see `Flown`: `flown_m`, `speed_mps`,
         `min_clearance_m`, `mean_clearance_m` and `jerk_mps3`."""
         states = np.concatenate(self.states)
-        steps = np.diff(states[:, POSITION], axis=0)
+        steps = np.diff(states[:, POSITION], axis=0)  # chords: steps are 6 ms long
         flown = float(np.sqrt((steps * steps).sum(axis=1)).sum())
         jerk = np.diff(states[:, ACCELERATION], axis=0) / STEP_S
         return {

@@ -218,6 +218,7 @@ def hidden_courses() -> list[Course]:
     """Return the courses of a hidden track as entries name them, of all `HIDDEN_KINDS` and
     difficulties in turn. Their seeds are numbers from 0 on, for which `hidden_course` draws the
     true ones."""
+    # kinds change from course to course, so that --quick has many of them
     turns = list(product(DIFFICULTIES, HIDDEN_KINDS))
     chosen = (turns[n % len(turns)] for n in range(HIDDEN))
     return [_course(kind, level, n, "") for n, (level, kind) in enumerate(chosen)]

@@ -84,6 +84,7 @@ class Recording:
 
         self._path, self._first = path, path.suffix == ".bag"
         store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
+        # the type store lacks messages of /tf of ROS 1, under either name
         for name in FRAMES if self._first else ():
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
         self._reader: Any = Reader1 if self._first else Reader2
@@ -120,6 +121,7 @@ class Recording:
             raise DatasetError(
                 f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
             )
+        # two sensors on one topic cannot be told apart in a map
         frames = sorted({frame for _, frame in heads[topic]})
         if len(frames) > 1:
             raise DatasetError(
@@ -195,6 +197,7 @@ def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
         raise ValueError(f"promises {promised} points and holds {min(count, complete)}")
     axes = [(axis, f"{order}f4") for axis in "xyz"]
     dtype = np.dtype([(LIVOX_TIME, f"{order}u4"), *axes, ("more", f"V{step - 16}")])
+    # the last point may lack its padding
     rows = np.frombuffer(content.ljust(count * step, b"\0"), dtype, count)
     return _of_rows(rows, "offset_time x y z reflectivity tag line")
 
@@ -264,6 +267,7 @@ def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[st
     Returns:
         The message's fields by name; points are packed, without gaps.
     """
+    # little-endian in the message, whatever this machine has
     columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.rec.fromarrays([*columns.values()], dtype)

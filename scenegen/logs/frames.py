@@ -71,6 +71,7 @@ class Links:
                 place, turn = entry.pose.pose.position, entry.pose.pose.orientation
             else:
                 place, turn = entry.transform.translation, entry.transform.rotation
+            # /tf_static is sent once, with any time
             time = math.nan if topic.endswith(f"tf{STATIC}") else seconds(entry.header.stamp)
             numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
             source = transforms is None, topic.removesuffix(STATIC)
@@ -101,7 +102,7 @@ class Links:
         while name in self._rows and name != self._fixed:
             links.append(self._link(name))
             name = links[-1].parent
-            if any(link.child == name for link in links):
+            if any(link.child == name for link in links):  # else this would never end
                 raise ValueError(f"its frame {short(name)} hangs from itself, by {links[-1].topic}")
         if self._fixed not in (None, name):
             raise ValueError(

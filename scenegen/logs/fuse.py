@@ -224,7 +224,7 @@ class _Run:
                     "quaternion": scan.pose.quaternion,
                     "time_s": np.float64(scan.time_s),
                 }
-                # not synced: `_save` comes later, and a run from an older one writes it again
+                # not synced, for speed: a kill loses nothing, and a power failure at most this
                 write_whole(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
             self._on_done(1)

@@ -206,6 +206,7 @@ class PointClock:
             return np.zeros(len(raw.returned))
         times = raw.fields[self.field].astype(np.float64) * self.unit_s
         begin = {"the clock of the stamps": raw.stamp_s, "the stamp": 0.0}
+        # a clock of its own has no common origin with the stamps
         times -= begin.get(self.origin, times[raw.returned].min())
         valid = times[raw.returned]
         far = max(abs(valid.min()), abs(valid.max()), np.ptp(valid))
@@ -233,6 +234,7 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
     Raises:
         ValueError: No field has times, or no unit makes a field's times fit the period.
     """
+    # a span needs two returns
     samples = [sample for sample in samples if sample.returned.sum() > 1]
     names = list(samples[0].fields) if samples else []
     names = [name for name in names if all(name in sample.fields for sample in samples)]
@@ -255,6 +257,7 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
         firsts = np.array([sample.of(name).min() * unit_s for sample in samples])
         late = abs(firsts - [sample.stamp_s for sample in samples]).max()
         reach = MAX_SPAN * period_s
+        # times count from the stamp, or on the stamp's clock, or on the sensor's own clock
         if abs(firsts).max() <= reach:
             origin = "the stamp"
         elif late <= reach:

@@ -81,6 +81,7 @@ def read_log(
     kitti_file = path / "poses.txt"
     if not kitti_file.exists():  # KITTI's own archives keep poses in another folder
         kitti_file = kitti_poses(path)
+    # without --poses, KITTI's layout counts before a recording in the same folder
     recording = _recording_at(path) if poses or not kitti_file.exists() else None
     if recording is not None:
         if poses_of or columns:
@@ -218,6 +219,7 @@ def _read_folder(
     def readers() -> Iterator[Reader]:
         return ((str(file), partial(read, file)) for file in files)
 
+    # two clouds show the unit of the times of points
     samples = dict(enumerate(map(read, files[:2])))
     first = samples[0]
     if pairs["scan_times"].startswith("unknown"):  # then no unit fits the times of points
@@ -283,7 +285,7 @@ def _times_beside(path: Path, count: int) -> Floats:
     times = read_numbers(file)[1].reshape(-1)
     if len(times) != count:
         raise DatasetError(f"{file}: {len(times)} times of {count} clouds")
-    if (np.diff(times) < 0).any():
+    if (np.diff(times) < 0).any():  # a wrong column, or clouds of several logs
         raise DatasetError(f"{file}: a time is before the one above it")
     return to_seconds(times, f"{file}: times")[0]
 

@@ -44,16 +44,12 @@ FRAME, SENSOR = "map", "lidar"
 """ROS frames: the world's, and the sensor's."""
 CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "Tr"))
 """A KITTI calibration in which camera and sensor are the same, so that poses are the sensor's."""
-
-
 STEPS = 10
 """Steps between scans by which the yaw follows the course."""
 FINE_M = 0.01
 """Distance between points of the curve that is flown, metres."""
 ROUNDS = 3
 """Rounds of B-spline subdivision; each halves the distance between points."""
-
-
 USUAL_S = 0.1
 """Time between scans of a sensor without a rate, seconds."""
 
@@ -81,6 +77,7 @@ def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int)
     flight, rng = Flight(), np.random.default_rng(seed)
     route = Route(_tour(world, flight, cruise.length_m, rng=rng))
     flown = np.arange(0.0, cruise.length_m, FINE_M)
+    # paths have corners, at which a vehicle would have to stop: average them away
     reach = round(2 * flight.robot_radius_m / FINE_M)
     weights = 1.0 - abs(np.arange(-reach, reach + 1)) / reach
     weights /= weights.sum()
@@ -91,6 +88,7 @@ def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int)
         ],
         axis=1,
     )
+    # the yaw turns between scans, too: follow it in smaller steps, of which each STEPS-th is a pose
     step_s = period_s / STEPS
     times = _times(curve, cruise)
     now = np.arange(0.0, times[-1], step_s)
@@ -104,6 +102,7 @@ def _times(curve: Floats, cruise: Cruise) -> Floats:
     bend = np.gradient(np.gradient(curve, FINE_M, axis=0), FINE_M, axis=0)
     pull = np.sqrt((bend**2).sum(axis=1))
     limit = cruise.acceleration_mps2
+    # by v² / r: in a bend, the acceleration across it bounds the speed
     squares = np.minimum(cruise.speed_mps**2, limit / np.maximum(pull, 1e-9))
     # v² = v₀² + 2 a s: a bound on v² that rises by no more than `ramp`, first forwards, then back
     ramp = 2 * limit * FINE_M * np.arange(len(squares))
@@ -122,7 +121,7 @@ def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Ge
             raise GenerationError(f"no flight of {length_m:g} m fits between the solids")
         goal = rng.uniform(bounds[0], bounds[1])
         if world.clearance.at(*goal) < flight.robot_radius_m:
-            continue
+            continue  # inside a solid, or too close to one
         if position is None:
             position = goal
         if math.dist(position, goal) < apart:
@@ -196,6 +195,7 @@ def record(
     interval_s, begin_s = period_s(sensor), getattr(sensor, "after_s", 0.0)
     rings = np.arange(sensor.shape[0])[:, None]
     for number, pose in enumerate(poses):
+        # sensors without a repeated pattern go on with it where the last scan ended
         if isinstance(sensor, Windowed):
             sensor = dataclasses.replace(sensor, after_s=begin_s + number * interval_s)
         chain = noise
@@ -204,6 +204,7 @@ def record(
             begin, end = (mounted(sensor, poses[n]) for n in (first, first + 1))
             pace = _pace(begin, end, interval_s, corrected)
             chain = in_motion(pace, noise)
+        # a seed for each scan: noise does not depend on how many scans came before
         seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
         mounted_pose = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
@@ -279,9 +280,10 @@ def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
     (folder / "velodyne").mkdir()
     (folder / "calib.txt").write_text(CALIBRATION)
     for number, scan in enumerate(scans):
+        # names count scans, as in KITTI; times are in a file
         content = encode_points(".bin", scan.points, scan.more.get("intensity"))
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
-        w, *vector = scan.pose.quaternion
+        w, *vector = scan.pose.quaternion  # TUM has w last
         tables["times.txt"].append(scan.time_s)
         tables["poses.txt"].append(matrix_of(scan.pose)[:3].reshape(-1))
         tables["poses.tum"].append([scan.time_s, *scan.pose.position, *vector, w])

@@ -133,6 +133,7 @@ def command(manifest: Manifest, repository: str, tag: str) -> str:
     drawn = manifest.kind != "scene" and manifest.like is None
     like = NAME if drawn else f"hf://{repository}@{tag}"
     words = ["scenegen", "generate", "--like", like, "--out", repository.rpartition("/")[2]]
+    # a user's own modules are imported only if the command names them
     words += ["--kind", manifest.kind] if ":" in manifest.kind else []
     words += ["--engine", manifest.engine] if manifest.engine not in ENGINES.builtin else []
     return shlex.join(words)
@@ -171,6 +172,7 @@ def _notes(manifest: Manifest) -> dict[str, str]:
             " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied."
         )
         notes["surface"] = "the surface of "
+    # compact datasets lack fields that follow from the others
     if absent := " and ".join(
         f"`{name}`" for name in ("free", "tudf") if name not in manifest.fields
     ):
@@ -264,6 +266,7 @@ def croissant(values: Json, manifest: Manifest, summary: Json, sums: Mapping[str
     }
     document = json.loads(Template(_template("croissant.json")).substitute(inside))
     url, tag = values["url"], values["tag"]
+    # Croissant: files hold records, whose fields name their source
     files = [
         _node(
             "FileObject",

@@ -78,7 +78,7 @@ class Request:
         licence = known.get(self.licence.lower())
         if licence is None:
             raise PublishError(f"--licence {self.licence}: expected one of {', '.join(LICENCES)}")
-        object.__setattr__(self, "licence", licence)
+        object.__setattr__(self, "licence", licence)  # in SPDX's own case
         if not REPOSITORY.fullmatch(self.repository) or re.search(
             r"--|\.\.|[.-](/|$)|\.git$", self.repository
         ):
@@ -195,6 +195,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             write_whole(draft / figures.name, figures.read_bytes())
         listed = {NAME: file_sha256(draft / NAME)}
         sums = described.files | listed
+        # of the draft, so that the card describes the files that are sent
         summary = inspect(Dataset(draft))
         values = facts(
             described,
@@ -267,6 +268,7 @@ def check_out(dataset: Path, out: Path) -> None:
     if target.is_relative_to(source) or source.is_relative_to(target):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
     files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
+    # links count as files: what they lead to is not ours
     foreign = {str(path.relative_to(out)) for path in files}
     # an earlier run listed its files; without a readable list, no file is ours to replace
     with suppress(DatasetError, OSError, UnicodeDecodeError):

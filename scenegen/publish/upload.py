@@ -81,6 +81,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
         raise PublishError(
             f"{target}: is there and public; leave --private out, or choose another --repo"
         )
+    # a tag is a promise to those who cite it
     tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(**where).tags}
     if staged.tag in tags:
         if wrong := differences(api, staged, tags[staged.tag]):
@@ -192,6 +193,7 @@ def publish(
     """
     from scenegen.verification import verify
 
+    # before the samples are verified, which can take hours
     if not dry_run:
         check_token()
     examine(request)

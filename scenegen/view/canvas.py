@@ -99,7 +99,7 @@ def error_colours(deep: Rgb, right: Mask, places: Ints) -> Floats:
     """
     from scipy.ndimage import distance_transform_edt
 
-    share = np.ones(len(places))
+    share = np.ones(len(places))  # nothing is correct: every error counts in full
     if right.any():
         away = distance_transform_edt(~right)[tuple(places.T)]
         share = PALE + (1 - PALE) * np.clip((away - 1) / (DEEP - 1), 0, 1)
@@ -159,6 +159,7 @@ def visible_faces(mask: Mask, view: View) -> tuple[Ints, Ints, Floats]:
         Corners (F, 4, 3) in voxels, the voxel of each face (F, 3), and its brightness (F,), ordered
         for painting: later faces hide earlier ones.
     """
+    # padded, so that the map's outer faces have no neighbour
     padded, towards = np.pad(mask, 1), view.eye > 0
     sides = np.where(towards, 1, -1)
     # of each axis only the side towards the eye can be seen

@@ -78,6 +78,7 @@ def inspect(
         )
     if keep and not dataset.datasets[0].manifest.complete:
         raise DatasetError(f"{dataset.name}: incomplete; give the command that made it again")
+    # without stored measures, measure some samples of each split
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
@@ -142,6 +143,7 @@ def _split_facts(split: Split, table: Floats) -> Json:
         "sampled": len(table),
         "statistics": _statistics(table),
     }
+    # a world's mean takes all of its samples
     if len(table) == len(split):
         first_of_world = np.unique(split.numbers[0], return_index=True)[1]
         means = [measure_of(split, table, OF_WORLD + name)[first_of_world] for name in MEASURES]
@@ -205,6 +207,7 @@ def inspect_all(folder: Path) -> list[Json]:
                 "digest": manifest.digest,
                 "samples": _counts(manifest.shards),
             }
+        # one damaged dataset must not hide the others
         except DatasetError as error:
             row["fault"] = printable(error)
         rows.append(row)

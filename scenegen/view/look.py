@@ -114,6 +114,7 @@ class Look:
         if self.points is not None:
             several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
             rows["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
+            # ranges from this pose only: earlier scans were taken elsewhere
             if len(first_scan := self.scans[0]):
                 ranges = np.linalg.norm(first_scan - self.position, axis=1)
                 rows["mean range"] = f"{ranges.mean():.2f} m"
@@ -230,6 +231,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
         raise DatasetError(f"{name} is not shown: {printable(error)}") from None
     if guesses is None:
         return look
+    # a sample that a method cannot predict is still worth showing
     try:
         return replace(look, guesses=tuple(guesses(samples, index)))
     except ScenegenError as error:

@@ -137,6 +137,7 @@ def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
     predictions: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
         predictions = prediction or {}
+    # a page draws paths on a prediction: for a path alone, the truth is one
     if path is not None and not predictions:
         predictions = {"truth": look.masks["occupancy"]}
     if clashing := predictions.keys() & look.masks.keys():  # a page has one layer a name
@@ -153,7 +154,7 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         write_result(Path(out), result.html.encode())
-    elif "ipykernel" not in sys.modules:
+    elif "ipykernel" not in sys.modules:  # not within a notebook
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
             file.write(result.html.encode())
         webbrowser.open(Path(file.name).as_uri())

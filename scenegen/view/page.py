@@ -135,6 +135,7 @@ def packed(look: Look) -> Json:
         if mask is not None and not mask.all():
             optional[name] = _bits(mask)
     if look.points is not None:
+        # from the sensor, so that 16 bits resolve a scan of 100 m to 3 mm
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
@@ -191,6 +192,7 @@ def _bits(mask: Mask) -> str:
 
 
 def _distances(tudf: Field, grid: GridSpec) -> str:
+    # damaged distances may be NaN, which has no byte
     shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 
@@ -200,6 +202,7 @@ def _text(name: str) -> str:
 
 
 def _gzip64(content: bytes) -> str:
+    # without the time of compression: the same samples give the same page
     return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
 
 
@@ -279,7 +282,7 @@ class Live(ThreadingHTTPServer):
                 "another --port, or 0"
             ) from None
         url_host = f"[{place}]" if place.version == 6 else str(place)
-        if place.is_unspecified:
+        if place.is_unspecified:  # 0.0.0.0 is no address that a browser can open
             url_host = socket.gethostname()
         self.address = f"http://{url_host}:{self.server_address[1]}/"
         """Address for the browser."""
@@ -339,6 +342,7 @@ class Live(ThreadingHTTPServer):
                 if kind == "world":
                     return HTTPStatus.OK, _world(samples, index)
                 return HTTPStatus.OK, packed(look_into(samples, index, self.guesses)) | notes
+            # a damaged sample is a line on the page, and the server goes on
             except (ScenegenError, OSError, IndexError, ValueError) as error:
                 line = f"the {kind} is not shown: {printable(error)}"
                 return HTTPStatus.NOT_FOUND, {"error": line, **notes}

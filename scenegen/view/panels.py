@@ -195,7 +195,7 @@ def put_points(
         size: Area of a point, square points.
         view: The projection.
     """
-    points = points[np.argsort(points @ view.eye)]
+    points = points[np.argsort(points @ view.eye)]  # matplotlib draws them in this order
     shades = colour((points[:, 2] - low) / (high - low), HEIGHTS)
     panel.scatter(*view.project(points).T, s=size, c=shades, linewidths=0, zorder=3)
 
@@ -271,6 +271,7 @@ def draw_voxels(
             shades[wrong] = error_colours(deep, right, voxels[wrong])
     shades *= light[:, None]
     panel.add_collection(
+        # edges of the same colour hide the seams between faces
         PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
     )
 
@@ -300,6 +301,7 @@ def frame_box(
     span = np.ptp(corners, axis=0).max()
     if ticks:
         _put_axes(panel, low, high, 0.09 * span, view)
+    # room for the ends of axes, which stand outside the box
     room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
@@ -502,6 +504,7 @@ class Grid:
 
 def at_sensor(look: Look) -> int:
     """Return the level of voxels that has the sensor's height, or ends there."""
+    # at a boundary between levels, the lower one
     height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
     return int(np.clip(height, 0, look.grid.shape[2] - 1))
 

@@ -148,6 +148,7 @@ def _frame(look: Look, view: View, title: str) -> Any:
     panel = figure.subplots()
     _with_returns(panel, look, view, 1.2, "")
     middle, reach = view.project((low + high) / 2), 1.03 * math.hypot(*look.grid.extent_m) / 2
+    # the diagonal fits at every turn
     limits = np.array([middle, middle]) + reach * np.array([[-1, -0.75], [1, 0.75]])
     panel.set(xlim=limits[:, 0], ylim=limits[:, 1])
     add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
@@ -272,6 +273,7 @@ def draw_world(
         joined: Whether a red line joins them, as a flight.
         box: Lower and upper corner (3,) of a map, metres in the world, drawn in blue.
     """
+    # flights stay above the ground, but the picture has to show what they fly over
     low, high = world.flight_bounds.copy()
     bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
     low[2] = min([low[2], *bounded[:, 2], *world.solids.triangles.reshape(-1, 3)[:, 2]])
