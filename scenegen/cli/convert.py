@@ -79,6 +79,7 @@ def convert(
     from scenegen.convert.convert import convert as write
 
     source = open_dataset(dataset, shown=not quiet)
+    # of MODULE:CLASS, the class
     target = out or Path(f"{Path(source.name).absolute().stem}-{to.rpartition(':')[2]}")
     for part in source.datasets:
         if not part.manifest.complete:
@@ -129,7 +130,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
             standard output.
         ScenegenError: There is no such world, or it cannot be compiled.
     """
-    is_file = type_of(dataset) == "world"
+    is_file = type_of(dataset) == "world"  # an .xml file has one world, without a number
     surfaces = out is not None and out.suffix == ".glb"
     if is_file and not surfaces:
         raise click.UsageError(

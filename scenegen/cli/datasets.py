@@ -102,6 +102,7 @@ def take(
     # in the usual order, however they were given
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
+    # of an incomplete dataset, later samples would be missing without a word
     source = open_dataset(dataset, shown=talk, partial=False)
     numbers = choose(source, choice, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}

@@ -157,6 +157,7 @@ def world(
     """
     from scenegen.fly.course import Course
 
+    # click gives the options of both dataclasses in one dictionary
     parts: Any = (
         kind(**{field: options.pop(field) for field in taken(kind, options)})
         for kind in (Vehicle, Rules)
@@ -249,7 +250,7 @@ def _fly(
     with Progress("fly", shown=talk) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
-    crew = crew_of(execute)
+    crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
     _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **drawing)
 
 
@@ -331,6 +332,7 @@ def replay(
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
+        # the default robot is not meant here: whose recording it is need not be known
         if weights is not None or was_given("robot"):
             filmed = robot, weights
             count, differing = fly_anew(recording, work, crew)

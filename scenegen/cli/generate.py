@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.shard import ShardReport
 
 KIND = Named(
+    # mixed is not a kind, but a collection with a dataset of each
     Registry("kind", {**KINDS.builtin, "mixed": ""}),
     others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
@@ -65,6 +66,7 @@ RECIPE_NOTE = "this as a recipe file, without --scene, --compact, --engine, seed
 
 def part_options(function: Any) -> Any:
     """Add an option for each optional part of samples."""
+    # reversed: the option of the last decorator is listed first
     for name, part in [*PARTS.items()][::-1]:
         kind: Any = {"type": Choice(list(part.choices))} if part.choices else {"is_flag": True}
         function = click.option(f"--{name}", help=part.help, **kind)(function)
@@ -170,7 +172,7 @@ def generate(
     options["kind"] = named or options["kind"]
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
-        announce_compilation()
+        announce_compilation()  # before imports that may take seconds
     from scenegen.base.workers import keep_memory
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
@@ -251,7 +253,7 @@ def make(
     from scenegen.base.executors import executor
     from scenegen.dataset.build import build
 
-    plans.open(force=force)
+    plans.open(force=force)  # refuses folders of something else before any of them is written
     summaries = []
     for plan in plans.datasets:
         with Progress(plan.name, shown=talk) as progress:

@@ -204,7 +204,7 @@ def _show_split(name: str, split: Json) -> None:
     rows, worlds = {}, split.get("world_means")
     factors = {key: 100 if unit == "%" else 1 for key, (_, unit) in TITLES.items()}
     for key, statistics in split["statistics"].items():
-        rows[key] = "–"
+        rows[key] = "–"  # unless a sample has this measure
         if statistics["mean"] is not None:
             mean, std, low, high = (factors[key] * value for value in statistics.values())
             unit = TITLES[key][1]

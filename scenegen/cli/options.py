@@ -61,6 +61,7 @@ def group(name: str, options: str) -> Decorator:
 
 def together(*options: Decorator) -> Decorator:
     """Join options to one decorator; the help page lists them in this order."""
+    # reversed: the option of the last decorator is listed first
     return lambda function: reduce(
         lambda decorated, option: option(decorated), reversed(options), function
     )

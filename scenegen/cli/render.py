@@ -204,6 +204,7 @@ def _draw_samples(
         return draw_flight(looked, title=title, suffix=suffix), notes
     if figure == "world":
         return _draw_archived(dataset, split, numbers[0], heading), notes
+    # a single sample has room for levels of its distances
     if figure == "sample" and is_single:
         return draw_sample(looked[0], title=heading, width=paper), notes
     draw = draw_sheet if figure == "sample" else DRAWN[figure]

@@ -71,7 +71,7 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
     handles = [ball("sensor"), *(Patch(color=rgb(shade), label=text) for shade, text in errors)]
     grid = Grid(len(looks) + is_single, len(names), title, handles, width=width)
     grid.name(names, [look.name for look in looks])
-    ticks = is_single and not width
+    ticks = is_single and not width  # several panels are too small for them, and so is print
     for row, look in enumerate(looks):
         for panel, mask in zip(grid.panels[row], ("points", "occupancy"), strict=False):
             draw_panel(panel, look, mask, "", ticks=ticks)
@@ -136,7 +136,7 @@ def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None)
         DatasetError: No path was planned, or the figure is too narrow.
     """
     names = methods_of(looks, paths=True)
-    columns = across(min(len(looks), 3), width)
+    columns = across(min(len(looks), 3), width)  # paths need larger panels than voxels
     scale = 1.45 if columns < 3 else 1.2
     handles = _path_legend(names)
     grid = Grid(math.ceil(len(looks) / columns), columns, title, handles, scale=scale, width=width)

@@ -74,6 +74,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
             )
             break
         samples.append(sample)
+    # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
     return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)

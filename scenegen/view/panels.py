@@ -124,7 +124,7 @@ def for_paper(figure: Figure, width: float, points: float) -> None:
     figure.suptitle("")
     figure.set_dpi(PAPER_DPI)
     for text in figure.findobj(Text):
-        text.set_fontsize(points)
+        text.set_fontsize(points)  # after the size of the figure, which does not scale letters
     for many in figure.findobj(Collection):
         many.set_rasterized(not isinstance(many, LineCollection))
         if isinstance(many, PathCollection):
@@ -395,6 +395,7 @@ class Grid:
         Raises:
             DatasetError: The columns are too narrow either way.
         """
+        # a row for each method, if columns would be too narrow to be read
         self.turned = rows < columns and across(columns, width) < columns
         if self.turned:
             rows, columns = columns, rows
