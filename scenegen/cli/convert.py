@@ -1,5 +1,5 @@
-"""`scenegen convert`, `world`, `map` and `ingest`: datasets and worlds for other programs, and
-point clouds and logs of a real sensor as maps to make datasets in."""
+"""`scenegen convert` and `world` write datasets and worlds for other programs; `map` and `ingest`
+make maps of point clouds and logs of real sensors."""
 
 import sys
 from pathlib import Path
@@ -51,9 +51,9 @@ from scenegen.worlds.cloud import Survey
 @splits_option("A split")
 @options_of(
     Choices,
-    unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out "
-    "of its score.",
-    label="SemanticKITTI: the label of occupied voxels without a class, or of one that it lacks.",
+    unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, so that its score "
+    "ignores them.",
+    label="SemanticKITTI: label of occupied voxels without a class, or with one that it lacks.",
     frame="Frame of points.",
 )
 @executing
@@ -68,19 +68,24 @@ def convert(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Write a dataset in another program's format; the same command again goes on where it was
-    stopped.
+    """Write a dataset in another program's format; the same command continues a stopped run.
+
+    \f
+    Raises:
+        DatasetError: The folder has another conversion, or a sample cannot be read; the others are
+            written.
     """
     from scenegen.base.errors import DatasetError, plural
     from scenegen.convert.convert import convert as write
 
     source = open_dataset(dataset, shown=not quiet)
+    # of MODULE:CLASS, the class
     target = out or Path(f"{Path(source.name).absolute().stem}-{to.rpartition(':')[2]}")
-    for one in source.datasets:
-        if not one.manifest.complete:
-            note(f"{one.folder}: is incomplete; what is there is converted")
+    for part in source.datasets:
+        if not part.manifest.complete:
+            note(f"{part.folder}: is incomplete; its samples so far are converted")
     with Progress(to, shown=not quiet) as progress:
-        done = write(
+        result = write(
             source,
             target,
             to=to,
@@ -90,17 +95,19 @@ def convert(
             on_start=progress.start,
             on_done=progress.count,
         )
-    for line in (*(done.notes if not quiet else ()), *done.broken):
+    for line in (*(result.notes if not quiet else ()), *result.broken):
         note(line)
-    if done.broken:
+    if result.broken:
         raise DatasetError(
-            f"{source.name}: {len(done.broken)} samples could not be read; the others are in "
+            f"{source.name}: {len(result.broken)} samples could not be read; the others are in "
             f"{target}"
         )
     if not quiet:
-        others = f"; {done.others} are for the other ranks to write there" if done.others else ""
-        before = f"; an earlier run wrote {done.there}" if done.there else ""
-        say(f"{target}: {plural(done.written, 'samples')} written{before}{others}")
+        remaining = (
+            f"; {result.others} are for the other ranks to write there" if result.others else ""
+        )
+        before = f"; an earlier run wrote {result.there}" if result.there else ""
+        say(f"{target}: {plural(result.written, 'samples')} written{before}{remaining}")
 
 
 @command("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")
@@ -113,17 +120,23 @@ def convert(
     ".glb",
 )
 def world(dataset: Path | str, number: int | None, split: str, out: Path | None) -> None:
-    """Take one world's MJCF, and the files it refers to, out of a dataset.
+    """Write the MJCF of one world of a dataset, and the files it refers to.
 
     With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
+
+    \f
+    Raises:
+        UsageError: A number for a file, or none for a dataset; or MJCF with other files for
+            standard output.
+        ScenegenError: There is no such world, or it cannot be compiled.
     """
-    alone = type_of(dataset) == "world"
+    is_file = type_of(dataset) == "world"  # an .xml file has one world, without a number
     surfaces = out is not None and out.suffix == ".glb"
-    if alone and not surfaces:
+    if is_file and not surfaces:
         raise click.UsageError(
             f"{dataset}: is a world already; give -o with a name that ends in .glb"
         )
-    if alone == (number is not None):
+    if is_file == (number is not None):
         raise click.UsageError(
             "give the number of one of the dataset's worlds, and none for an .xml file"
         )
@@ -148,7 +161,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     if out is not None:
         write_extracted(files, out)
         say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
-    elif len(files) > 1:
+    elif len(files) > 1:  # standard output can carry only the document
         raise click.UsageError(
             f"this world refers to {len(files) - 1} other files; give -o: they go beside it"
         )
@@ -163,17 +176,17 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     "map lab.yaml --height 2.5 -o lab.npz",
 )
 @click.argument("clouds", nargs=-1, required=True, type=FILE)
-@click.option("--sensor", type=(Number(),) * 3, help="Where the clouds' sensor was: X Y Z.")
+@click.option("--sensor", type=(Number(),) * 3, help="Position of the clouds' sensor: X Y Z.")
 @click.option(
     "--poses",
     type=FILE,
-    help="A text file with a line for each cloud: x y z of its sensor; or, for clouds in their "
-    "sensor's frame, its pose as TUM or KITTI write it.",
+    help="A text file with a line for each cloud: x y z of its sensor; or, for clouds in the "
+    "sensor's frame, the sensor's pose in TUM's or KITTI's format.",
 )
 @click.option(
     "--box",
     type=(Number(),) * 6,
-    help="Leave out what lies beyond these two corners: X Y Z X Y Z.",
+    help="Leave out points outside the box with these two corners: X Y Z X Y Z.",
 )
 @columns_option
 @options_of(
@@ -181,10 +194,10 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     voxel_m="Edge of the map's voxels, metres.",
     unit_m="The clouds' unit, metres: 0.001 for millimetres.",
     up="The clouds' axis that points up.",
-    least_m="Points nearer than this to the sensor that saw them are no returns, metres.",
-    height_m="How high the walls of a plan are, metres.",
-    assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
-    "says so already: for clouds of which nobody knows where they were seen from.",
+    least_m="Points nearer to their sensor than this are left out, metres.",
+    height_m="Height of the walls of a plan, metres.",
+    assume_free="Assume that voxels without points above the lowest point of a column are free: "
+    "for clouds whose sensor positions are not known.",
 )
 @out_option("The map to write, .npz.", ".npz", default="map.npz")
 @printing
@@ -201,15 +214,21 @@ def map(
     **options: Any,
 ) -> None:
     """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .bin, .xyz, .npz, .npy;
-    or from one of ROS's plans of a floor, .yaml.
+    or from a floor plan of ROS, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
-    others unknown. `scenegen generate --scene` takes the map.
+    others are unknown. `scenegen generate --scene` takes the map.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other, or are for the other kind of file.
+        SceneError: A file cannot be read, or the map would be too large.
     """
     if sensor is not None and poses is not None:
         raise click.UsageError("--sensor and --poses both say where sensors were; give one")
     plan = clouds[0].suffix == ".yaml"
     options_given = set(filter(was_given, ("sensor", "poses", "box", "columns", *options)))
+    # a plan has its own scale and origin; only its walls need a height
     misplaced = options_given - {"height_m"} if plan else options_given & {"height_m"}
     if misplaced or (plan and len(clouds) > 1):
         raise click.UsageError(
@@ -224,15 +243,15 @@ def map(
 
     survey = Survey(**options)
     if plan:
-        made = read_plan(clouds[0], survey.height_m)
+        result = read_plan(clouds[0], survey.height_m)
     else:
-        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box, columns=columns)
-    write_result(out, encode_map(made.voxels, str(clouds[0]), offset=made.offset))
-    about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
-    row = about | map_facts(made.voxels)
+        result = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box, columns=columns)
+    write_result(out, encode_map(result.voxels, str(clouds[0]), offset=result.offset))
+    facts = {"file": str(out), "points": result.points, "taken_off_m": result.offset.tolist()}
+    row = facts | map_facts(result.voxels)
     if talk:
-        note(made.read)
-    if tell(row | {"read": made.read}):
+        note(result.read)
+    if tell(row | {"read": result.read}):
         show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
@@ -247,13 +266,14 @@ def map(
 @options_of(
     Fusing,
     voxel_m="Edge of the maps' voxels, metres.",
-    reach_m="How far rays are followed, metres.",
-    rise_m="How far maps go above and below the sensor, metres.",
+    reach_m="Maximum length of a ray, metres.",
+    rise_m="Height of maps above the sensor, and their depth below it, metres.",
     least_m="Nearer returns are left out, metres.",
-    moved_share="A voxel is free where fewer of the scans that say something of it have a return "
-    "in it.",
-    every="Every n-th scan is kept beside the truth.",
-    deskew="Move points to where their rays met something, by the time of each: for raw scans.",
+    moved_share="A voxel is free if a smaller share of the scans that observed it have a return "
+    "in it: a moving object was there.",
+    every="Every n-th scan is written with its truth.",
+    deskew="Correct points for the sensor's motion during a scan, by the time of each: for raw "
+    "scans.",
 )
 @click.option(
     "--explain",
@@ -274,21 +294,28 @@ def ingest(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
+    """Make maps of a log of LiDAR scans with poses, and write some of its scans with their truth.
 
-    A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), a recording of ROS
-    (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg and /tf, odometry
-    or --poses, or a folder of clouds with --poses. Stopped or killed, the same command goes on.
+    A log is a sequence in the layout of KITTI's odometry or SemanticKITTI; a recording of ROS
+    (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg, and /tf, odometry
+    or --poses; or a folder of clouds with --poses. The same command continues a stopped run.
+
+    \f
+    Raises:
+        UsageError: A scan would not fit into memory.
+        DatasetError: The log cannot be read, or the folder exists.
+        SceneError: No return is within reach of the sensor.
     """
     from scenegen.base.files import check_free
     from scenegen.logs.fuse import ingest as write
     from scenegen.logs.read import read_log
 
     target = out or Path(f"{log.stem}-maps")
+    # bounds that depend on several options are checked here, not by click
     with raised_as(click.UsageError):
         how = Fusing(**options)
     if not explain:
-        check_free(target)
+        check_free(target)  # before the log is read, which takes minutes
     recording = read_log(log, columns=columns, **log_reading)
     if explain:
         row = recording.explained()
@@ -296,6 +323,7 @@ def ingest(
             show_table(row)
     elif talk:
         note(recording.line())
+    # after --explain has printed why times are not known
     if how.deskew:
         recording.check_point_times()
     if explain:

@@ -38,23 +38,30 @@ if TYPE_CHECKING:
 @command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
 @dataset_argument
 @click.option(
-    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
+    "--quick", is_flag=True, help="Only fast checks: files, digests, numbers, laws, splits."
 )
-@seed_option("Chooses what is audited at random.")
+@seed_option("Seed of the samples that are checked more closely.")
 @kind_option
 @click.option(
     "--check",
     "own",
     multiple=True,
     metavar="MODULE:OBJECT",
-    help="Also make a check of your own; may be given several times.",
+    help="Also run a check of your own; repeatable.",
 )
 @executing
 @printing
 def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
-    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
-    check fails, with 3 where none does and flights come out otherwise than other software made
-    them."""
+    """Check a dataset against the format: files, digests, truth, rays, splits.
+
+    Exit code 1: a check failed. Exit code 3: no check failed, but flights differ, since other
+    versions of software made them.
+
+    \f
+    Raises:
+        ScenegenError: A check failed.
+        UndecidedError: Other versions of software made the flights.
+    """
     if talk:
         announce_compilation()
     from scenegen.verification import verify as prove
@@ -79,7 +86,7 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
 
 
 def _show_checks(report: "Report", seconds: float) -> None:
-    """Prints a line for each check."""
+    """Print a line for each check, and a summary."""
     rows, marks = {}, {}
     for check in report.checks:
         if not check.ok:
@@ -95,8 +102,8 @@ def _show_checks(report: "Report", seconds: float) -> None:
         skipped = sum(check.skipped for check in report.checks)
         differing = len(report.differing)
         passed = len(report.checks) - skipped - differing
-        others = {"differ": differing, "skipped": skipped}
-        parts = [f"{count} {what}" for what, count in others.items() if count]
+        counts = {"differ": differing, "skipped": skipped}
+        parts = [f"{count} {name}" for name, count in counts.items() if count]
         say(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")
 
 
@@ -108,19 +115,21 @@ def _show_checks(report: "Report", seconds: float) -> None:
 @click.option(
     "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
 )
-@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option("--tag", help="Name of the revision.  [default: by the content]")
 @click.option(
     "--licence",
     "--license",
     default=USUAL,
     help="SPDX name of the data's licence.",
 )
-@out_option("Where the folder goes.  [default: publish/<name>]")
-@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@out_option("The folder to make.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make a new repository private.")
 @click.option(
-    "--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody."
+    "--dry-run",
+    is_flag=True,
+    help="Make the folder and list the files to upload, without contacting the Hub.",
 )
-@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
+@click.option("--quick", is_flag=True, help="Run only fast checks: files, digests, numbers, laws.")
 @kind_option
 @executing
 @printing
@@ -136,10 +145,14 @@ def publish(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+    """Verify a dataset, make a folder of it, and send that to the Hugging Face Hub.
 
-    Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
-    keeps, or HF_TOKEN.
+    The same command continues a stopped run. The token is that of `hf auth login`, or HF_TOKEN.
+
+    \f
+    Raises:
+        DatasetError: The dataset is damaged.
+        PublishError: A check fails, or the Hub refuses.
     """
     if talk:
         announce_compilation()
@@ -149,7 +162,7 @@ def publish(
     from scenegen.publish.stage import Request
     from scenegen.publish.upload import publish as run_publish
 
-    check_type(dataset, "dataset")
+    check_type(dataset, "dataset")  # selections and collections have no folder to publish
     check_together(options["execute"], "publish takes")
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),
@@ -162,10 +175,12 @@ def publish(
     with Progress("verify", shown=talk) as progress:
 
         def report(staged: Any) -> None:
-            progress.stop()
+            progress.stop()  # the Hub's client has its own bar
             if talk:
-                then = "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
-                note(f"Wrote {staged.folder}. {then}")
+                next_step = (
+                    "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
+                )
+                note(f"Wrote {staged.folder}. {next_step}")
 
         staged, commit = run_publish(
             request,
@@ -182,7 +197,7 @@ def publish(
 
 
 def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
-    """Prints what was made, and sent."""
+    """Print the folder and what was sent; after a dry run, the files to send."""
     from scenegen.dataset.schema import pattern_of
     from scenegen.publish.upload import IN_COMMIT
 
@@ -194,6 +209,7 @@ def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float
         "time": f"{seconds:.1f} s",
     }
     if commit is None:
+        # one line for all shards of a split, of which there may be thousands
         listed = Counter[str]()
         for name, size in staged.files.items():
             listed[pattern_of(name)] += size

@@ -1,7 +1,6 @@
-"""`scenegen doctor` and `scenegen completion`: whether this machine is fit, and the script with
-which its shell completes the command line.
+"""`scenegen doctor` checks this machine; `completion` prints a script for the shell.
 
-For versions and extras ask pip: `pip show -f scenegen-lidar`, `pip check`.
+Versions and extras are pip's business: `pip show -f scenegen-lidar`, `pip check`.
 """
 
 import importlib
@@ -20,17 +19,23 @@ from scenegen.cli.show import announce_compilation, flat, say, show_table
 from scenegen.cli.types import Choice
 
 LITTLE_GB = 5.0
-"""Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
-run some more."""
+"""Free disk below which `doctor` warns. A dataset of default size takes a quarter of a gigabyte,
+and training takes more."""
 SELF_TEST_S = 2.0
+"""Duration of the self-test, seconds."""
 COMPILED = ("mujoco", "ompl.geometric")
-"""Modules of compiled code that worlds need: installed, they may lack a library of the system."""
+"""Compiled modules that worlds need. Even if installed, they may lack a library of the system."""
 
 
 @command("doctor", "doctor --json")
 @json_option
 def doctor(as_json: bool) -> None:
-    """Check this machine: MuJoCo, OMPL, GPU, cores, disk, cache, and a two-second self-test."""
+    """Check this machine: MuJoCo, OMPL, GPU, cores, disk, cache, and a two-second self-test.
+
+    \f
+    Raises:
+        ScenegenError: A module does not load, or the self-test failed.
+    """
     if not as_json:
         announce_compilation()
     report = examine()
@@ -53,7 +58,7 @@ def doctor(as_json: bool) -> None:
 
 
 def _advice(report: Json) -> dict[str, str]:
-    """What to do about shortcomings, by the name of the line."""
+    """Return advice on shortcomings, by the name of the line that has them."""
     from lidarsim.jit import cache_trouble
 
     advice = {}
@@ -69,12 +74,13 @@ def _advice(report: Json) -> dict[str, str]:
 
 
 def examine() -> Json:
-    """Examine what of this machine pip cannot tell. `ok` is False if a module does not load, or the
-    self-test finds a law broken; the free disk is that of the working folder."""
+    """Examine this machine. `ok` is False if a module does not load or the self-test fails; the
+    free disk is that of the working folder."""
     from lidarsim.jit import cache_folder, cache_trouble
     from scenegen.base.executors import cores
 
     loads = {name.partition(".")[0]: _loads(name) for name in COMPILED}
+    # without the modules, the self-test could only raise
     test = self_test() if set(loads.values()) == {"loads"} else {"ok": False}
     return {
         "ok": test["ok"],
@@ -88,7 +94,7 @@ def examine() -> Json:
 
 
 def _loads(module: str) -> str:
-    """Whether a module can be imported, or why not."""
+    """Return "loads" if a module can be imported, else the reason."""
     try:
         importlib.import_module(module)
     except (ImportError, OSError) as error:
@@ -97,8 +103,8 @@ def _loads(module: str) -> str:
 
 
 def self_test() -> Json:
-    """Draw samples for two seconds and check their laws: every return lies in an occupied voxel,
-    and a sample drawn again is the same to the bit."""
+    """Draw samples for two seconds and check them: every return lies in an occupied voxel, and a
+    sample drawn again has the same bits."""
     from scenegen.draw.draw import draw_unit
     from scenegen.draw.source import DrawnWorlds
     from scenegen.worlds.recipe import preset
@@ -109,7 +115,7 @@ def self_test() -> Json:
     def drawn(unit: int) -> Any:
         return draw_unit(source, recipe, seed=0, split="train", unit=unit).samples
 
-    first = drawn(0)  # compiles, where nothing is cached
+    first = drawn(0)  # compiles kernels, so it is not timed
     repeatable = [sample.sha256() for sample in first] == [sample.sha256() for sample in drawn(0)]
     begin, units, samples, contained = time.perf_counter(), 0, 0, True
     while time.perf_counter() - begin < SELF_TEST_S:
@@ -127,7 +133,8 @@ def self_test() -> Json:
 
 
 def _gpu() -> str:
-    """Name of the GPU that torch sees, or why there is none."""
+    """Return the name of the GPU that torch finds, or "none"."""
+    # torch is an extra, and takes seconds to load: only this line needs it
     try:
         import torch
     except ModuleNotFoundError:
@@ -139,7 +146,13 @@ def _gpu() -> str:
 @click.argument("shell", type=Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print a completion script: eval "$(scenegen completion bash)"."""
+    """Print a completion script: eval "$(scenegen completion bash)".
+
+    \f
+    Args:
+        ctx: The context, for the group of all commands.
+        shell: Name of the shell.
+    """
     complete = get_completion_class(shell)
     assert complete is not None
     print(complete(ctx.find_root().command, {}, "scenegen", "_SCENEGEN_COMPLETE").source())

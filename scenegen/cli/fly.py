@@ -1,5 +1,5 @@
-"""`scenegen fly`: a robot flies to goals, closed loop: through a world or a suite's courses.
-Recordings of flights are flown again, and ranked.
+"""`scenegen fly`: flies a robot to goals in closed loop, through a world or a suite's courses.
+Replays and ranks recordings of flights.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,40 +43,39 @@ if TYPE_CHECKING:
 
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
-"""A folder to read."""
+"""Type of a folder to read."""
 MAX_FLIGHTS = 10_000
+"""Maximum of --flights and of --worlds."""
 
 robot_options = together(
     click.option(
         "--robot",
         type=Named(Registry("robot", dict.fromkeys(NAMES, "")), paths=True),
         default="optimistic",
-        help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
-        "quotes, which run in a process of their own.",
+        help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; or your own as MODULE:CLASS "
+        "or a command in quotes, which run in another process.",
     ),
     click.option(
         "--weights",
         type=Weights(),
-        help="The robot maps, and this network completes: what all scans say, or with --robot "
-        "returns the last one.",
+        help="Network that completes the robot's map, or with --robot returns the last scan.",
     ),
 )
 picture_options = together(
     click.option(
         "--picture",
         type=OutputFile(".png"),
-        help="A picture (.png) of the first world and the ways through it.",
+        help="A picture (.png) of the first world and the paths through it.",
     ),
     click.option(
         "--film",
         type=OutputFile(".html"),
-        help="A page (.html) that plays the first flight, and what the robot takes for occupied.",
+        help="A page (.html) that plays the first flight, with the robot's map.",
     ),
     click.option(
         "--log",
         type=click.Path(path_type=Path),
-        help="What the sensor saw on the first flight, as `scan --sequence` writes logs: a folder, "
-        "or .mcap.",
+        help="A log of the first flight, as of `scan --sequence`: a folder, or .mcap.",
     ),
     group("What is drawn", "picture film log"),
     executing,
@@ -85,7 +84,12 @@ picture_options = together(
 
 
 def track_options(hidden: str, maps: str) -> Callable[[Any], Any]:
-    """--hidden and --maps, with their texts."""
+    """Make the options --hidden and --maps.
+
+    Args:
+        hidden: Help text of --hidden.
+        maps: Help text of --maps.
+    """
     return together(
         click.option("--hidden", type=click.IntRange(0), metavar="SEED", help=hidden),
         click.option("--maps", type=FOLDER, help=maps),
@@ -94,7 +98,7 @@ def track_options(hidden: str, maps: str) -> Callable[[Any], Any]:
 
 @click.group()
 def fly() -> None:
-    """Fly a robot to goals by what its LiDAR sees, closed loop; check and rank recordings."""
+    """Fly a robot with a LiDAR to goals in closed loop; replay and rank recordings."""
 
 
 @command(
@@ -104,30 +108,30 @@ def fly() -> None:
 @click.argument("name", metavar="WORLD", type=WORLD)
 @robot_options
 @click.option(
-    "--flights", type=click.IntRange(1, MAX_FLIGHTS), default=10, help="Starts and goals."
+    "--flights", type=click.IntRange(1, MAX_FLIGHTS), default=10, help="Number of flights."
 )
 @click.option(
     "--worlds",
     type=click.IntRange(1, MAX_FLIGHTS),
     default=1,
-    help="Worlds of a kind, drawn by the seed and those after it; each has its share of the "
-    "flights.",
+    help="Number of worlds of a kind, drawn by the seed and those after it. Flights are divided "
+    "among them.",
 )
 @difficulty_option
 @options_of(
     Vehicle,
     radius_m="Radius of the vehicle, metres.",
-    speed_mps="Metres a second, at most.",
-    acceleration_mps2="Metres a second squared, at most.",
-    dynamics="How the vehicle moves: as its bounds say, or as a quadrotor of MuJoCo's that tracks "
-    "that, with inertia, rotors and drag.",
+    speed_mps="Maximum speed, metres a second.",
+    acceleration_mps2="Maximum acceleration, metres a second squared.",
+    dynamics="kinematic: the vehicle moves exactly within its bounds. mujoco: a quadrotor with "
+    "inertia, rotors and drag tracks that motion.",
 )
-@options_of(Rules, apart_m="Least distance from start to goal, metres.")
+@options_of(Rules, apart_m="Minimum distance from start to goal, metres.")
 @lidar_option("raster")
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
 @seed_option("Seed of the world, the goals and the noise.")
-@out_option("Where to record the flights, .json.")
+@out_option("File for a recording of the flights, .json.")
 @picture_options
 @group("Robot", "robot weights radius speed acceleration dynamics")
 @group("Courses", "flights worlds difficulty apart moving seed")
@@ -145,14 +149,21 @@ def world(
     """Fly a robot through a world: a kind's, an MJCF file, or a map of a real place.
 
     Ten times a second the sensor scans, and the robot decides.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such robot or world, or the world is too narrow.
     """
     from scenegen.fly.course import Course
 
+    # click gives the options of both dataclasses in one dictionary
     parts: Any = (
         kind(**{field: options.pop(field) for field in taken(kind, options)})
         for kind in (Vehicle, Rules)
     )
     vehicle, rules = parts
+    # the first worlds get a flight more if the number cannot be divided
     shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
     courses = [
         Course(
@@ -180,15 +191,21 @@ def world(
 @robot_options
 @click.option("--quick", is_flag=True, help="Every sixteenth course.")
 @track_options(
-    "50 courses that this number draws, in place of the suite's own.",
-    "24 courses through the maps of real places in this folder, in place of the suite's own.",
+    "Fly 50 courses that this number draws, instead of the suite's own.",
+    "Fly 24 courses through the maps of real places in this folder, instead of the suite's own.",
 )
-@out_option("The entry, .json; one that is there goes on where it was.")
+@out_option("The entry, .json; an unfinished one is continued.")
 @picture_options
 @group("Robot", "robot weights")
 @group("Courses", "quick hidden maps")
 def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
-    """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19."""
+    """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such robot, or a map is missing.
+    """
     from scenegen.fly.suite import chosen_courses
 
     track = _track(hidden, maps)
@@ -197,7 +214,7 @@ def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **opti
 
 
 def _track(hidden: int | None, maps: Path | None) -> str:
-    """The name of the track. Raises UsageError where both are given."""
+    """Return the name of the track. Raises UsageError if both are given."""
     from scenegen.fly.suite import track_name
 
     if hidden is not None and maps:
@@ -216,24 +233,25 @@ def _fly(
     suite: str | None = None,
     hidden: int | None = None,
     track: str = "",
-    **shown: Any,
+    **drawing: Any,
 ) -> None:
-    """Fly through courses, record that, and print and draw it."""
+    """Fly through courses, record the flights, and print and draw them."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
-    name, network, work = _begin(robot, weights, hidden, shown["log"], execute, talk)
+    name, network, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
+    # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
-    if weights is None:
+    if weights is None:  # a network's robot is scenegen's own
         check_begins(robot, first)
-    if shown["picture"]:
+    if drawing["picture"]:
         from scenegen.worlds.world import solid
 
         solid(first.drawn, first.world)
     with Progress("fly", shown=talk) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
-    crew = crew_of(execute)
-    _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **shown)
+    crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
+    _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **drawing)
 
 
 def _begin(
@@ -244,8 +262,16 @@ def _begin(
     execute: Executor,
     talk: bool,
 ) -> tuple[str, str, Any]:
-    """The robot's name, the SHA-256 of its network, and what flies it through a course. Raises
-    before anything is flown for what cannot be."""
+    """Check the options of a robot.
+
+    Returns:
+        The robot's name, the SHA-256 of its network or "", and a function that flies it through a
+        course.
+
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: The log exists, or there is no such network.
+    """
     from scenegen.dataset.locate import file_sha256
     from scenegen.model.completion.completer import locate
     from scenegen.model.robots.flights import fly_course
@@ -271,7 +297,7 @@ def _begin(
 @command("fly replay entry.json", "fly replay entry.json --robot my_robot:Robot")
 @click.argument("path", metavar="RECORDING", type=FILE)
 @robot_options
-@track_options("The number of an entry's hidden track.", "Where an entry's maps are.")
+@track_options("Number of an entry's hidden track.", "Folder of an entry's maps.")
 @picture_options
 @group("Robot", "robot weights")
 @group("Courses", "hidden maps")
@@ -283,30 +309,37 @@ def replay(
     maps: Path | None,
     talk: bool,
     execute: Executor,
-    **shown: Any,
+    **drawing: Any,
 ) -> None:
-    """Fly a recording again, and compare every bit and figure.
+    """Fly a recording's commands again, and compare every bit and figure.
 
-    With --robot or --weights, that robot flies every sixteenth course anew, too; exit code 1 if it
-    flies otherwise.
+    With --robot or --weights, also let that robot fly every sixteenth course anew; exit code 1 if
+    its flights differ from the recording.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        DatasetError: The file is not a recording, or a flight differs from it.
+        ScenegenError: The robot flies differently.
     """
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
     track = _track(hidden, maps)
-    pilot, _, work = _begin(robot, weights, hidden, shown["log"], execute, talk)
+    pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
     recording, notes = open_recording(path, track, maps)
-    name, unlike, filmed = recording.robot, list["Flown"](), None
+    name, differing, filmed = recording.robot, list["Flown"](), None
     with Progress("replay", shown=talk) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
+        # the default robot is not meant here: whose recording it is need not be known
         if weights is not None or was_given("robot"):
             filmed = robot, weights
-            count, unlike = fly_anew(recording, work, crew)
-            notes[ANEW] = f"{count - len(unlike)} of {count} flights"
+            count, differing = fly_anew(recording, work, crew)
+            notes[ANEW] = f"{count - len(differing)} of {count} flights"
     crew = crew_of(execute)
-    _show(flown, name, filmed, notes, unlike, hidden=hidden, crew=crew, files=[], **shown)
-    if unlike:
+    _show(flown, name, filmed, notes, differing, hidden=hidden, crew=crew, files=[], **drawing)
+    if differing:
         raise ScenegenError(
             f"{path}: {pilot} flew {notes[ANEW]} as they are recorded; the recording is of robot "
             f"{name}"
@@ -318,7 +351,13 @@ def replay(
 @out_option("The page.", ".html", required=True)
 @quiet_option
 def rank(entries: Path, out: Path, quiet: bool) -> None:
-    """Write a page that ranks the entries to a suite in a folder."""
+    """Write a page that ranks the entries to a suite in a folder.
+
+    \f
+    Raises:
+        ScenegenError: The folder has no entries.
+        DatasetError: A file is not an entry.
+    """
     from scenegen.model.robots.board import leaderboard
 
     write_result(out, leaderboard(entries).encode())
@@ -335,7 +374,7 @@ def _show(
     name: str,
     filmed: tuple[str, str | None] | None,
     notes: Mapping[str, str] = MappingProxyType({}),
-    unlike: "Sequence[Flown]" = (),
+    differing: "Sequence[Flown]" = (),
     *,
     hidden: int | None,
     crew: Callable[..., Any],
@@ -345,15 +384,26 @@ def _show(
     film: Path | None,
     log: Path | None,
 ) -> None:
-    """Draw the first course's flights, and print the figures of all, with `notes`, what was wrong
-    with the robot, also in flights that are `unlike` recorded ones, and which `files` were written.
+    """Draw the flights of the first course, and print figures of all.
 
-    A film has what the robot `filmed`, named as for `robot_maker`, takes for occupied, or else
-    shows the flight alone.
+    Args:
+        flown: All flights.
+        name: Name of the robot.
+        filmed: The robot, named as for `robot_maker`, whose map the film shows; None: no map.
+        notes: Further lines of the table.
+        differing: Flights that differ from recorded ones; errors of the robot are printed.
+        hidden: Number of the hidden track, or None.
+        crew: Runs work on the cores, for the difficulties of the courses.
+        tell: Prints the result as JSON if the user wants that.
+        files: Files written so far.
+        picture: File of the picture, or None.
+        film: File of the film, or None.
+        log: File or folder of the log, or None.
     """
     from scenegen.model.robots.flights import real_course, robot_maker, rows_of, summary
 
     (first, ways), *_ = flown
+    # recordings hide the seeds of a hidden track; drawing needs them
     course = real_course(first, hidden)
     if picture is not None:
         from scenegen.view.canvas import VIEW
@@ -373,7 +423,7 @@ def _show(
         try:
             write_result(film, flight_page(name, course, 0, robot, ways[0]))
         finally:
-            getattr(robot, "close", lambda: None)()
+            getattr(robot, "close", lambda: None)()  # a robot of another process has one
     if log is not None:
         from scenegen.fly.course import log_of
         from scenegen.logs.record import write_log
@@ -383,7 +433,7 @@ def _show(
     row = {**summary(name, flights), **notes}
     if tell(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
         show_table(row)
-        for trouble in sorted({flight.trouble for flight in [*flights, *unlike]} - {""}):
+        for trouble in sorted({flight.trouble for flight in [*flights, *differing]} - {""}):
             say(f"robot: {trouble}")
         for path in filter(None, (*files, picture, film, log)):
             say(f"written: {path}")

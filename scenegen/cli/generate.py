@@ -1,5 +1,5 @@
-"""`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
-dataset."""
+"""`scenegen generate` makes a plan from its options, and a dataset from the plan; `recipe` prints a
+preset."""
 
 from functools import partial
 from pathlib import Path
@@ -53,15 +53,20 @@ if TYPE_CHECKING:
     from scenegen.dataset.shard import ShardReport
 
 KIND = Named(
+    # mixed is not a kind, but a collection with a dataset of each
     Registry("kind", {**KINDS.builtin, "mixed": ""}),
     others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
+"""Type of --kind; files and recipes are refused with the option that takes them."""
 COUNT = click.IntRange(min=1)
-BESIDE = "this as a recipe file, without --scene, --compact, --engine, seed and sizes"
+"""Type of a number of samples."""
+RECIPE_NOTE = "this as a recipe file, without --scene, --compact, --engine, seed and sizes"
+"""Heading of the recipe that --dry-run prints."""
 
 
 def part_options(function: Any) -> Any:
-    """An option for each part of samples that a user may ask for."""
+    """Add an option for each optional part of samples."""
+    # reversed: the option of the last decorator is listed first
     for name, part in [*PARTS.items()][::-1]:
         kind: Any = {"type": Choice(list(part.choices))} if part.choices else {"is_flag": True}
         function = click.option(f"--{name}", help=part.help, **kind)(function)
@@ -89,19 +94,19 @@ def part_options(function: Any) -> Any:
 @click.option(
     "--recipe",
     type=FILE,
-    help="TOML file with what differs from the preset.",
+    help="TOML file with the parameters that differ from the preset.",
 )
 @click.option(
     "--allow-unseen",
     is_flag=True,
-    help="Take scenes with geoms that rays cannot see; leave these out.",
+    help="Allow scenes with geoms that rays cannot see; these are left out.",
 )
 @click.option(
     "--like",
     type=DatasetPath(),
     metavar="DATASET",
     help="A dataset, or its dataset.json: make it again, or scan its worlds from the same poses "
-    "by another --lidar, --noise, --engine or map.",
+    "with another --lidar, --noise, --engine or map.",
 )
 @part_options
 @lidar_option("the recipe's")
@@ -109,10 +114,10 @@ def part_options(function: Any) -> Any:
 @mapping_options()
 @options_of(
     Mapper,
-    tilt_mps="Speed, metres a second, at which the body leans as a quadrotor; 0 for a level body.",
+    tilt_mps="Speed, metres a second, of a quadrotor that leans as it flies; 0 for a level body.",
 )
 @engine_option(
-    f"What casts the rays: {', '.join(ENGINES.builtin)}, or MODULE:CLASS.  [default: {DEFAULT}]"
+    f"Engine that casts rays: {', '.join(ENGINES.builtin)}, or MODULE:CLASS.  [default: {DEFAULT}]"
 )
 @click.option("-n", "--n", type=COUNT, help="Training samples.  [default: 2500]")
 @click.option(
@@ -125,21 +130,21 @@ def part_options(function: Any) -> Any:
 @click.option(
     "--split-range",
     type=Written(read_range, "FIRST:STOP"),
-    help="Only these shards, for a cluster; --dry-run counts them.",
+    help="Only these shards, for a cluster; --dry-run prints how many there are.",
 )
 @click.option(
     "--compact",
     is_flag=True,
-    help="Leave out what readers can derive: free space and distances.",
+    help="Leave out fields that readers can derive: free space and distances.",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), help="The same seed, the same dataset.  [default: 0]"
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Seed; the same one gives the same dataset.  [default: 0]",
 )
 @out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", stores=True)
 @force_option
-@click.option(
-    "--dry-run", is_flag=True, help="Print the recipe that would be used, and make nothing."
-)
+@click.option("--dry-run", is_flag=True, help="Print the plan and its recipe, and make nothing.")
 @workers_option
 @on_option
 @printing
@@ -154,32 +159,40 @@ def generate(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
-    it was."""
+    """Make a dataset: worlds, flights, scans and truth. The same command continues a stopped run.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such kind, file or sensor; the folder holds something else; or
+            samples cannot be drawn.
+    """
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
-        announce_compilation()
+        announce_compilation()  # before imports that may take seconds
     from scenegen.base.workers import keep_memory
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
 
     keep_memory()
+    # errors of the plan are errors of the options: exit code 2
     with raised_as(click.UsageError, of=AskedError):
         plans = plan_generation(
             mapping=mapping_given(options),
             report=note if talk else lambda line: None,
             **without(Mapper, options),
         )
+    # a collection has a dataset for each kind, and so no common numbers of shards
     if shards and plans.is_collection:
         raise click.UsageError("--split-range: is for one dataset; use --on rank for several")
     if shards and shards[1] > (count := len(plans.datasets[0].shards)):
         raise click.UsageError(f"--split-range {shards[0]}:{shards[1]}: there are {count} shards")
     if dry_run:
         for plan in plans.datasets:
-            State(plan, force=force)  # which refuses a folder that holds something else
+            State(plan, force=force)  # refuses a folder that holds something else
         _show_plans(plans, tell)
         return
     make(
@@ -194,7 +207,7 @@ def generate(
 
 
 def _show_plans(plans: "Plans", tell: Tell) -> None:
-    """Prints what would be made, and the recipe file that says all of it."""
+    """Print the plans, and each as a recipe file."""
     rows = {
         "folder": str(plans.folder),
         "samples": sum(plan.samples for plan in plans.datasets),
@@ -202,18 +215,18 @@ def _show_plans(plans: "Plans", tell: Tell) -> None:
         "bytes_expected": sum(plan.bytes_expected for plan in plans.datasets),
     }
     parameters = {plan.name: plan.manifest.parameters for plan in plans.datasets}
-    about: Any = {"datasets": parameters}
+    details: Any = {"datasets": parameters}
     if not plans.is_collection:
-        about = {"parameters": plans.datasets[0].manifest.parameters}
-    if not tell(rows | about):
+        details = {"parameters": plans.datasets[0].manifest.parameters}
+    if not tell(rows | details):
         return
     from scenegen.dataset.parameters import recipe_text
 
     show_table(rows, "would make")
     for plan in plans.datasets:
-        shown = flat({**plan.manifest.parameters, "recipe": None})
-        show_table({name: value for name, value in shown.items() if value is not None}, "")
-        say(f"\n{recipe_text(plan.manifest.tables, BESIDE)}".rstrip())
+        rows_of_plan = flat({**plan.manifest.parameters, "recipe": None})
+        show_table({name: value for name, value in rows_of_plan.items() if value is not None}, "")
+        say(f"\n{recipe_text(plan.manifest.tables, RECIPE_NOTE)}".rstrip())
 
 
 def make(
@@ -226,21 +239,21 @@ def make(
     talk: bool,
     shards: tuple[int, int] | None = None,
 ) -> None:
-    """Makes a planned dataset, or several, with a bar for each, and prints what was made.
+    """Make planned datasets, with a bar for each, and print a summary.
 
     Args:
-        plans: What is made.
-        workers: Processes.
-        on: Where the work is done, as `scenegen.base.executors.executor` takes it.
-        force: Replace another dataset in the folder.
-        tell: Prints the result as JSON, if that is asked for.
-        talk: Show a bar meanwhile.
-        shards: First of the shards that are made, and the one after the last; all unless given.
+        plans: The plans.
+        workers: Number of processes.
+        on: Name of the executor, see `scenegen.base.executors.executor`.
+        force: Whether to replace another dataset in the folder.
+        tell: Prints the result as JSON if the user wants that.
+        talk: Whether to print for people.
+        shards: First shard to make, and the one after the last; None for all.
     """
     from scenegen.base.executors import executor
     from scenegen.dataset.build import build
 
-    plans.open(force=force)
+    plans.open(force=force)  # refuses folders of something else before any of them is written
     summaries = []
     for plan in plans.datasets:
         with Progress(plan.name, shown=talk) as progress:
@@ -262,18 +275,18 @@ def make(
         row = {**rows[0], "seconds": seconds}
     if tell(row):
         for summary in summaries:
-            _show_summary(summary, seconds, alone=not plans.is_collection)
+            _show_summary(summary, seconds, is_single=not plans.is_collection)
         if plans.is_collection:
             show_table({"collection": plans.folder, "time": f"{seconds:.1f} s"})
 
 
 def _count(progress: Progress, report: "ShardReport", fresh: bool) -> None:
-    """Counts the samples of a shard that is there, or was written just now."""
+    """Count the samples of a shard that exists, whether this run or an earlier one wrote it."""
     progress.count(report.entry.samples)
 
 
-def _show_summary(summary: "Summary", seconds: float, *, alone: bool) -> None:
-    """Prints what was made; the time, where it was made `alone`."""
+def _show_summary(summary: "Summary", seconds: float, *, is_single: bool) -> None:
+    """Print a dataset; if it `is_single` and not of a collection, with time and next step."""
     samples, written = sum(summary.samples.values()), summary.samples_written
     rows = {
         "folder": summary.folder,
@@ -283,14 +296,14 @@ def _show_summary(summary: "Summary", seconds: float, *, alone: bool) -> None:
         "size": f"{summary.bytes / 1e6:.1f} MB, "
         f"{summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample",
     }
-    if alone:
+    if is_single:
         rate = f", {written / seconds:.1f} samples a second, imports included"
         rows["time"] = f"{seconds:.1f} s" + (rate if written else "; nothing was left to make")
     rows["digest"] = (
         summary.digest
         or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing"
     )
-    if alone:
+    if is_single:
         rows["next"] = f"scenegen inspect {quote(str(summary.folder))}"
     show_table(rows)
 
@@ -301,7 +314,12 @@ def _show_summary(summary: "Summary", seconds: float, *, alone: bool) -> None:
 @out_option("The file to write.  [default: standard output]", file=True)
 def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     """Print the preset of a kind of worlds as a recipe, every parameter with its value, for
-    `generate --recipe`."""
+    `generate --recipe`.
+
+    \f
+    Raises:
+        RecipeError: A recipe file cannot hold the sensor.
+    """
     from lidarsim import Lidar
     from scenegen.base.errors import RecipeError
     from scenegen.base.files import write_result
@@ -312,7 +330,8 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     chosen = preset(kind, lidar=lidar)
     if not isinstance(chosen.lidar, Lidar):
         raise RecipeError(
-            f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"
+            f"--lidar {lidar}: is not a raster, and a recipe file holds no other sensor; give it "
+            "to generate"
         )
     title = f"the preset of {kind}, version {chosen.version}; lengths are metres"
     text = recipe_text(recipe_entry(chosen), title)

@@ -1,5 +1,5 @@
-"""`scenegen inspect` and `view`: what something is, and samples in three dimensions, with what was
-predicted of them."""
+"""`scenegen inspect` summarizes a dataset, a world or a file; `view` shows samples in three
+dimensions, with predictions."""
 
 import json
 from pathlib import Path
@@ -42,46 +42,62 @@ if TYPE_CHECKING:
     from scenegen.view.look import Guesses
 
 
+MAX_ON_PAGE = 200
+"""Maximum samples in a page."""
+
+
 @command("inspect data/pillar", "inspect scenes/forest.xml --json")
 @dataset_argument
-@click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
+@click.option(
+    "--all", "measure_all", is_flag=True, help="Measure all samples, not 200 of each split."
+)
 @click.option(
     "--keep",
     is_flag=True,
-    help="Measure all, and keep what was measured beside them, for inspect, take --where and "
+    help="Measure all samples, and store the measures beside them, for inspect, take --where and "
     "publish.",
 )
 @click.option(
     "--details",
     is_flag=True,
-    help="Also print the extremes of every measure, its mean for each kind, and the datasets that "
-    "this one was made of.",
+    help="Also print extremes of every measure, and its mean for each kind.",
 )
 @columns_option
 @workers_option
 @json_option
 def inspect(
     dataset: Path | str,
-    every: bool,
+    measure_all: bool,
     keep: bool,
     details: bool,
     columns: int | None,
     workers: int,
     as_json: bool,
 ) -> None:
-    """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
+    """Print counts and sizes of a dataset, and statistics of its scans and its truth.
 
-    A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
-    predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
+    Or list a folder of datasets; or print facts of a world (.xml), an OctoMap (.bt, .ot), a scan, a
+    file of predictions (.h5; of a folder, the first one), or the folder of a training run.
+
+    \f
+    Args:
+        dataset: What to inspect.
+        measure_all: Measure all samples.
+        keep: Store the measures beside the dataset.
+        details: Print extremes and means of kinds.
+        columns: Columns of a scan without a header.
+        workers: Number of processes.
+        as_json: Print JSON.
     """
     from scenegen.model.config import NetworkConfig
-    from scenegen.view.inspect import MOST_MEASURED, misfits
+    from scenegen.view.inspect import MAX_MEASURED, misfits
     from scenegen.view.inspect import inspect as examine
 
     name = type_of(dataset)
+    # None is a path of no type: opening it below says what is wrong with it
     if name not in (None, "dataset", "collection", "selection"):
-        given = {"columns": columns} if name == "scan" else {}
-        facts = function_for(dataset, "facts")(Path(dataset), **given)
+        options = {"columns": columns} if name == "scan" else {}
+        facts = function_for(dataset, "facts")(Path(dataset), **options)
         if as_json:
             print(json.dumps(facts))
         elif name == "datasets":
@@ -90,60 +106,62 @@ def inspect(
             show_table(plain(facts))
         return
     opened = open_dataset(dataset, shown=not as_json)
-    with Progress("inspect", shown=(every or keep) and not as_json) as progress:
-        found = examine(
+    with Progress("inspect", shown=(measure_all or keep) and not as_json) as progress:
+        summary = examine(
             opened,
-            most=None if every else MOST_MEASURED,
+            most=None if measure_all else MAX_MEASURED,
             keep=keep,
             workers=workers,
             on_start=progress.start,
             on_done=progress.count,
         )
+    # datasets of a collection may share a sensor: one warning is enough
     sensors = dict.fromkeys(sensing.lidar for sensing in opened.settings)
     warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
+    # networks halve maps three times: warn now of a grid that training would refuse
     try:
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
     except ValueError as error:
         warnings.append(str(error))
     if as_json:
-        print(json.dumps(found | {"warnings": warnings}))
+        print(json.dumps(summary | {"warnings": warnings}))
         return
-    _show(dataset, found, details=details)
+    _show(dataset, summary, details=details)
     for line in warnings:
         note(f"note: {line}")
 
 
 def _show_all(rows: list[Json]) -> None:
-    """Prints a line for each dataset."""
+    """Print a line for each dataset."""
     for row in rows:
-        told = row.get("fault")
-        if not told:
+        text = row.get("fault")
+        if not text:
             digest = str(row["digest"])[:8] if row["complete"] else "incomplete"
-            told = f"{row['kind']}: {per_split(row['samples'])}, {digest}"
-        show_table({row["folder"]: told})
+            text = f"{row['kind']}: {per_split(row['samples'])}, {digest}"
+        show_table({row["folder"]: text})
 
 
 def _show(dataset: Path | str, summary: Json, *, details: bool) -> None:
-    """Prints the summary of a dataset and its measures, with `details` in a table of each split."""
+    """Print the summary of a dataset and its measures, with `details` in a table for each split."""
     size = f"{summary['bytes'] / 1e6:.1f} MB"
     if summary["samples"]:
         size += f", {summary['bytes_per_sample'] / 1e3:.1f} KB a sample"
     datasets = summary.get("datasets", (summary,))
-    for about in datasets:
-        grid = about["grid"]
+    for facts in datasets:
+        grid = facts["grid"]
         hollow = ", truth of surfaces" if grid["hollow"] else ""
         rows = {
-            "dataset": about["name"],
-            "kind": about["kind"],
-            "seed": about["seed"],
-            "complete": "yes" if about["complete"] else "no",
-            "digest": about["digest"] or "none yet",
+            "dataset": facts["name"],
+            "kind": facts["kind"],
+            "seed": facts["seed"],
+            "complete": "yes" if facts["complete"] else "no",
+            "digest": facts["digest"] or "none yet",
             "grid": f"{grid['shape']} voxels of {grid['voxel_m']} m{hollow}",
-            "sensor": about["lidar"],
-            "maps": str(Mapper(**about["mapping"])),
-            **({"noise": about["noise"]} if about["noise"] else {}),
-            "fields": ", ".join(about["fields"]),
-            "rejected": rejections(about["rejected"]),
+            "sensor": facts["lidar"],
+            "maps": str(Mapper(**facts["mapping"])),
+            **({"noise": facts["noise"]} if facts["noise"] else {}),
+            "fields": ", ".join(facts["fields"]),
+            "rejected": rejections(facts["rejected"]),
         }
         show_table(rows)
     listed = "none is listed before the run is complete"
@@ -156,7 +174,7 @@ def _show(dataset: Path | str, summary: Json, *, details: bool) -> None:
 
 
 def _show_means(splits: Json) -> None:
-    """Prints the means of the measures in each split, and what they measure."""
+    """Print the means of measures in each split, and the names of measures."""
     from scenegen.view.inspect import TITLES
 
     if not splits:
@@ -180,13 +198,13 @@ def _show_means(splits: Json) -> None:
 
 
 def _show_split(name: str, split: Json) -> None:
-    """Prints the statistics of a split, and the means of each of several kinds in it."""
+    """Print the statistics of a split, and the means of each of several kinds."""
     from scenegen.view.inspect import TITLES
 
     rows, worlds = {}, split.get("world_means")
     factors = {key: 100 if unit == "%" else 1 for key, (_, unit) in TITLES.items()}
     for key, statistics in split["statistics"].items():
-        rows[key] = "–"
+        rows[key] = "–"  # unless a sample has this measure
         if statistics["mean"] is not None:
             mean, std, low, high = (factors[key] * value for value in statistics.values())
             unit = TITLES[key][1]
@@ -204,17 +222,13 @@ def _show_split(name: str, split: Json) -> None:
         show_columns(cells, list(kinds), f"{name}: means of each kind, shares in %")
 
 
-MAX_SHOWN = 200
-"""The most samples in a file."""
-
-
 @command(
     "view data/pillar",
     "view data/pillar --split test --weights columns --weights proposed",
     "view data/pillar --index 3 --index 7 --html samples.html",
 )
 @dataset_argument
-@split_option("train", help="The split to show samples of.")
+@split_option("train", help="Split of the samples.")
 @click.option(
     "-o",
     "--html",
@@ -222,26 +236,26 @@ MAX_SHOWN = 200
     "--out",
     "out",
     type=OutputFile(),
-    help="Write one file that shows samples without a network.  [default: serve all of them]",
+    help="Write one page, which needs no server.  [default: serve all samples]",
 )
 @index_option
 @click.option(
     "--n",
     "count",
-    type=click.IntRange(1, MAX_SHOWN),
+    type=click.IntRange(1, MAX_ON_PAGE),
     default=24,
-    help="In a file: how many samples, evenly spread, where no --index is given.",
+    help="In a page: number of samples, evenly spread, unless --index is given.",
 )
 @click.option(
     "--host",
     default="127.0.0.1",
-    help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
+    help="Address to serve on; with 0.0.0.0, everyone who reaches this machine can look.",
 )
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=8000,
-    help="0 for any.",
+    help="Port to serve on; 0 for any free one.",
 )
 @quiet_option
 @shown_options
@@ -256,12 +270,18 @@ def view(
     host: str,
     port: int,
     quiet: bool,
-    **shown: Any,
+    **predicting: Any,
 ) -> None:
-    """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
-    some of it, or the completion of a scan (.h5)."""
-    if out is not None and (odd := flags_given(("host", "port"))):
-        raise click.UsageError(f"{odd[0]}: is for what is served; leave out --html")
+    """Show a dataset in a browser, served from this machine. With --html, write a page with some
+    samples, or with the completion of a scan (.h5).
+
+    \f
+    Raises:
+        UsageError: Options contradict each other, or there is no such sample.
+        ScenegenError: The dataset cannot be read, or the address cannot be served on.
+    """
+    if out is not None and (flags := flags_given(("host", "port"))):
+        raise click.UsageError(f"{flags[0]}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
@@ -277,9 +297,10 @@ def view(
         return
     source = open_dataset(dataset, shown=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
-    if out is None and len(opened) > 1 and shown["predictions"] is not None:
+    # predictions name samples by their number in one dataset
+    if out is None and len(opened) > 1 and predicting["predictions"] is not None:
         raise click.UsageError("--predictions: is of one dataset; name that one")
-    guesses, methods = chosen(source if out is not None else opened[0], split, **shown)
+    guesses, methods = chosen(source if out is not None else opened[0], split, **predicting)
     if out is not None:
         write_page(source, split, indices, count, out, quiet, guesses)
         return
@@ -289,14 +310,15 @@ def view(
     samples, index = len(opened[0].split(split)), indices[0] if indices else 0
     if index >= max(samples, 1):
         raise click.UsageError(f"--index {index}: its {split} split has {samples} samples")
-    for each in opened:
-        for line in incomplete(each, split):
-            note(f"{each.name}: {line}")
+    for part in opened:
+        for line in incomplete(part, split):
+            note(f"{part.name}: {line}")
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
+    # noted: Ctrl-C ends the loop between two requests, and the server closes
     with server, stops.noted() as stopped:
-        folders = ", ".join(each.name for each in opened)
+        folders = ", ".join(part.name for part in opened)
         say(f"{server.address}  shows {folders}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
@@ -309,7 +331,7 @@ def view(
 
 
 def write_page(
-    found: "AnyDataset",
+    dataset: "AnyDataset",
     split: str,
     indices: tuple[int, ...],
     count: int,
@@ -317,17 +339,31 @@ def write_page(
     quiet: bool,
     guesses: "Guesses | None",
 ) -> None:
-    """Write a page that holds what it shows: samples of a split by `indices`, else `count` of them,
-    evenly spread."""
+    """Write a page that holds its samples.
+
+    Args:
+        dataset: The dataset.
+        split: Name of the split.
+        indices: Samples in the split; empty: `count` of them, evenly spread.
+        count: Number of samples without `indices`.
+        out: File of the page.
+        quiet: Print errors only.
+        guesses: Function that predicts samples, or None.
+
+    Raises:
+        DatasetError: No sample can be read, or their grid is too large for a browser.
+    """
     from scenegen.view.look import evenly, looks, title_of
     from scenegen.view.page import check_grid, page
 
-    check_grid(found.grid)
-    shown, notes = looks(found, split, indices or evenly(len(found.split(split)), count), guesses)
-    title = f"{title_of(found)}, {split}"
-    content = page(shown, title=title, notes=notes)
+    check_grid(dataset.grid)  # before any sample is read and predicted
+    samples, notes = looks(
+        dataset, split, indices or evenly(len(dataset.split(split)), count), guesses
+    )
+    title = f"{title_of(dataset)}, {split}"
+    content = page(samples, title=title, notes=notes)
     write_result(out, content.encode())
     for line in notes:
         note(line)
     if not quiet:
-        say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
+        say(f"{out}: {len(samples)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")

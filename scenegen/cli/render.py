@@ -1,4 +1,4 @@
-"""`scenegen render`: pictures of what there is: samples, predictions, worlds, scans, runs."""
+"""`scenegen render`: pictures of samples, predictions, worlds, scans and training runs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,19 +27,22 @@ if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
 
 
-MAX_SHOWN = 64
-"""The most samples on a sheet."""
+MAX_ON_SHEET = 64
+"""Maximum samples on a sheet, and of a flight in a film."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
+"""Suffixes of pictures."""
 FILMS = (".webp", ".gif")
+"""Suffixes of animated pictures."""
 COLUMNS_MM = {"one": "88", "two": "180"}
-"""Widths of columns of a paper, as most journals have them."""
+"""Widths of one and two columns in most journals, millimetres."""
 MIN_WIDTH = 140 / 25.4
-"""The narrowest picture for print of anything but samples, inches."""
+"""Minimum width for print of anything but samples, inches."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
+"""Values of --figure."""
 
 
 def _width(text: str) -> float:
-    """A width in inches."""
+    """Parse a width; return inches."""
     try:
         return Number(Bounds(least=40, most=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
     except ValueError:
@@ -54,14 +57,14 @@ def _width(text: str) -> float:
     "render scenes/forest.xml --flight -o forest.png",
 )
 @click.argument("source", type=DatasetPath())
-@split_option("train", help="The split to draw samples of.")
+@split_option("train", help="Split of the samples.")
 @index_option
 @click.option(
     "--sheet",
     "--n",
     "count",
-    type=click.IntRange(1, MAX_SHOWN),
-    help="So many samples on one sheet, evenly spread.",
+    type=click.IntRange(1, MAX_ON_SHEET),
+    help="Draw so many samples on one sheet, evenly spread.",
 )
 @click.option(
     "--figure",
@@ -74,7 +77,7 @@ def _width(text: str) -> float:
     "--flight",
     is_flag=True,
     help="With a world: draw a random flight, too. With a dataset: a .gif or .webp of the flight "
-    "that --index is of.",
+    "of the sample --index.",
 )
 @click.option(
     "--paper",
@@ -87,7 +90,7 @@ def _width(text: str) -> float:
     "--font-size",
     type=click.FloatRange(4, 20),
     default=7.0,
-    help="With --paper: the size of its letters, points.",
+    help="With --paper: size of letters, points.",
 )
 @columns_option
 @seed_option("Seed of the flight.")
@@ -106,12 +109,18 @@ def render(
     columns: int | None,
     **options: Any,
 ) -> None:
-    """Draw samples of a dataset, and what is predicted of them.
+    """Draw samples of a dataset, with predictions.
 
-    Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.
+    Or draw a world (.xml), a scan, the completion of a scan (.h5), or the curves of a training run.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: The file or dataset cannot be read or drawn.
     """
     name = type_of(source)
     is_world = name in ("world", "mesh")
+    # for a world, --flight draws a path; for samples, it makes a film
     film = "turn" if options.pop("turn") else "flight" if flight and not is_world else ""
     suffixes = FILMS if film else SUFFIXES
     out = out or Path("sample.webp" if film else "sample.png")
@@ -131,21 +140,22 @@ def render(
     notes: list[str] = []
     if name in (None, *DATA):
         figure, notes = _draw_samples(
-            source, shown=not quiet, film=film, suffix=out.suffix, **options
+            source, progress=not quiet, film=film, suffix=out.suffix, **options
         )
     else:
         if (options["paper"] or MIN_WIDTH) < MIN_WIDTH:
             raise click.UsageError(
                 "--paper: only samples fit into less than 140 mm; give two, or more"
             )
-        given: dict[str, Any] = {}
+        settings: dict[str, Any] = {}
         if is_world:
-            given = {"seed": seed if flight else None}
+            settings = {"seed": seed if flight else None}
         elif name == "scan":
-            given = {"columns": columns} | ({} if quiet else {"report": note})
-        figure = function_for(source, "draws")(Path(source), **given)
+            settings = {"columns": columns} | ({} if quiet else {"report": note})
+        figure = function_for(source, "draws")(Path(source), **settings)
     if options["paper"]:
         for_paper(figure, options["paper"], font_size)
+    # films are bytes already
     content = figure if isinstance(figure, bytes) else to_bytes(figure, out.suffix)
     write_result(out, content)
     for line in notes:
@@ -157,7 +167,7 @@ def render(
 def _draw_samples(
     source: Path | str,
     *,
-    shown: bool,
+    progress: bool,
     split: str,
     indices: tuple[int, ...],
     count: int | None,
@@ -167,51 +177,56 @@ def _draw_samples(
     paper: float | None,
     **predicted: Any,
 ) -> tuple[Any, list[str]]:
-    """The picture of a dataset's samples, and a line for each thing that could not be read."""
+    """Draw samples of a dataset; return the figure, or a film's content, and a line for each part
+    that could not be read."""
     from scenegen.view.figures import FIGURES as DRAWN
     from scenegen.view.look import evenly, looks, title_of
     from scenegen.view.panels import plain
     from scenegen.view.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
-    dataset = open_dataset(source, shown=shown)
+    dataset = open_dataset(source, shown=progress)
+    # figures without predictions load no network
     bare = figure in ("sample", "world") or film
     guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
+    # without --index and --sheet, the first sample
     numbers = indices or (evenly(len(dataset.split(split)), count) if count else (0,))
     if film == "flight":
         numbers = _same_world(dataset, split, numbers[0])
     looked, notes = looks(dataset, split, numbers, guesses)
     title = plain(title_of(dataset))
-    alone = len(looked) == 1 and not count
-    heading = "" if paper else f"{title}, {looked[0].name}" if alone else title
+    is_single = len(looked) == 1 and not count
+    # print has captions, so no title
+    heading = "" if paper else f"{title}, {looked[0].name}" if is_single else title
     if film == "turn":
         return draw_turn(looked[0], title=heading, suffix=suffix), notes
     if film == "flight":
         return draw_flight(looked, title=title, suffix=suffix), notes
     if figure == "world":
         return _draw_archived(dataset, split, numbers[0], heading), notes
-    if figure == "sample" and alone:
+    # a single sample has room for levels of its distances
+    if figure == "sample" and is_single:
         return draw_sample(looked[0], title=heading, width=paper), notes
     draw = draw_sheet if figure == "sample" else DRAWN[figure]
     return draw(looked, title=heading, width=paper), notes
 
 
-def _same_world(found: "AnyDataset", split: str, index: int) -> list[int]:
-    """The samples of a sample's world, in order, as many as are shown."""
-    names = found.split(split).names
-    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MAX_SHOWN]
+def _same_world(dataset: "AnyDataset", split: str, index: int) -> list[int]:
+    """Return the samples of a sample's world, in order, up to `MAX_ON_SHEET`."""
+    names = dataset.split(split).names
+    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MAX_ON_SHEET]
 
 
-def _draw_archived(found: "AnyDataset", split: str, index: int, title: str) -> Any:
-    """The world that a sample is of, with the map's box, and all viewpoints in it."""
+def _draw_archived(dataset: "AnyDataset", split: str, index: int, title: str) -> Any:
+    """Draw the world of a sample, with the map's box and all viewpoints of the world."""
     import numpy as np
 
     from scenegen.view.pictures import draw_world
     from scenegen.worlds.world import solid
 
-    samples = found.split(split)
+    samples = dataset.split(split)
     sample = samples[index]
-    places = np.stack([samples[n].position for n in _same_world(found, split, index)])
-    box = sample.origin, sample.origin + found.grid.extent_m
-    world = solid(found.compile(split, int(sample.world)), title)
+    places = np.stack([samples[n].position for n in _same_world(dataset, split, index)])
+    box = sample.origin, sample.origin + dataset.grid.extent_m
+    world = solid(dataset.compile(split, int(sample.world)), title)
     return draw_world(world, title=title, places=places, box=box)

@@ -28,26 +28,26 @@ from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
 @dataset_argument
 @splits_option("Samples of this split")
 @click.option(
-    "-n", "--n", "most", type=click.IntRange(min=1), help="The first so many of each split."
+    "-n", "--n", "count", type=click.IntRange(min=1), help="The first so many of each split."
 )
 @click.option(
     "--kind",
     "kinds",
     multiple=True,
     metavar="KIND",
-    help="Samples of this kind of worlds alone, such as maze, or maze-hard; repeatable.",
+    help="Only samples of this kind of worlds, such as maze, or maze-hard; repeatable.",
 )
 @click.option(
     "--worlds",
     type=Written(read_ranges, "N,FIRST:STOP"),
     default=(),
-    help="Samples of these worlds alone: numbers, or FIRST:STOP, as in 3,10:20.",
+    help="Only samples of these worlds: numbers, or FIRST:STOP, as in 3,10:20.",
 )
 @click.option(
     "--where",
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
-    help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
+    help="Only samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names: "
     f"{', '.join((*NUMBERS, *MEASURES))}.",
 )
 @out_option("File of the selection.", ".json", required=True)
@@ -57,7 +57,7 @@ from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
 def take(
     dataset: Path | str,
     splits: tuple[str, ...],
-    most: int | None,
+    count: int | None,
     kinds: tuple[str, ...],
     worlds: Any,
     where: Any,
@@ -66,17 +66,22 @@ def take(
     tell: Tell,
     talk: bool,
 ) -> None:
-    """Choose samples of a dataset: of a split, of some worlds, or those that a filter lets through.
+    """Select samples of a dataset: of a split, of some worlds, or by conditions.
 
-    What is written is a list of them, which every command reads as a dataset; samples are not
-    copied.
+    Writes a list of samples, which every command reads as a dataset; samples are not copied.
+
+    \f
+    Raises:
+        DatasetError: No sample fulfils the conditions, or the dataset cannot be read.
     """
     from scenegen.base.errors import DatasetError
     from scenegen.base.files import write_result
     from scenegen.dataset.selection import choose, encode_selection
 
+    # in the usual order, however they were given
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
-    choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
+    choice = Choice(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
+    # of an incomplete dataset, later samples would be missing without a word
     source = open_dataset(dataset, shown=talk, partial=False)
     numbers = choose(source, choice, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}

@@ -1,7 +1,7 @@
-"""Datasets in other programs' formats.
+"""Converts datasets to other programs' formats.
 
-`files` holds the formats of single samples, `recordings` those that a viewer plays, and `convert`
-writes a whole dataset in one of them. A user's own format is a class as `MODULE:CLASS`.
+`formats` has the formats of single samples, `recordings` that of a viewer, and `convert` writes a
+dataset in one of them. A user's own format is a class, given as `MODULE:CLASS`.
 """
 
 from dataclasses import dataclass
@@ -37,13 +37,13 @@ A format with a number `together` puts that many samples into one file; its `enc
 
 @dataclass(frozen=True, kw_only=True)
 class Choices(Checked):
-    """How samples are converted. Each format takes what concerns it."""
+    """Parameters of formats. Each format uses those that concern it."""
 
     unseen_invalid: bool = False
-    """SemanticKITTI: mark voxels that no ray met as invalid. What is behind things is then left out
-    of the score, and with it the task."""
+    """SemanticKITTI: mark voxels that no ray met as invalid. Its score then ignores occluded
+    voxels, which are those to complete."""
     label: int = number(50, least=1, most=65535)
-    """SemanticKITTI: the label of occupied voxels without a class, or of one that it lacks. 50 is
-    its building, which its own table of classes keeps; its "other" labels count as empty there."""
+    """SemanticKITTI: label of occupied voxels without a class, or with one that the format lacks.
+    50 is a building. (SemanticKITTI counts its "other" labels as empty.)"""
     frame: Literal["body", "world"] = "body"
-    """Frame of points: the body, or the world."""
+    """Frame of points: the body's, or the world's."""

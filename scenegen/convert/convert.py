@@ -1,5 +1,5 @@
-"""A dataset's samples, one after another, into a folder in another format; a stopped run goes on
-where it was.
+"""Writes the samples of a dataset into a folder in another format. The same call continues a
+stopped run.
 """
 
 from collections.abc import Sequence
@@ -19,24 +19,25 @@ from scenegen.dataset.read import AnyDataset, Rows
 from scenegen.draw.sample import Sample
 
 STATE = "convert.json"
-"""What a folder was converted from, and how."""
+"""File that names the source and the parameters of a conversion."""
 CHUNK = 100
-"""Samples a task of a worker, unless a format says how many share a file."""
+"""Samples in a task of a worker, unless the format sets how many share a file."""
 
 
 @dataclass(frozen=True)
 class Converted:
-    """What a run did."""
+    """Result of a run."""
 
     written: int
+    """Samples that this run wrote."""
     there: int
-    """Samples that an earlier run had written."""
+    """Samples that an earlier run wrote."""
     others: int
-    """Samples that are left to other ranks."""
+    """Samples that other ranks write."""
     broken: tuple[str, ...]
     """A line for each sample that could not be read."""
     notes: tuple[str, ...]
-    """What a user should know of the samples that were written: a sentence each."""
+    """Remarks on the written samples, a sentence each."""
 
 
 def convert(
@@ -50,48 +51,59 @@ def convert(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> Converted:
-    """Writes every sample of some splits in another format.
+    """Write every sample of some splits in another format.
 
-    What is there already is passed over. Each file appears whole or not at all; the disk is trusted
-    to keep it, unlike a dataset's.
+    Files that exist are not written again. Each file appears complete or not at all, but is not
+    synced to disk: unlike a dataset, a conversion can be made again.
 
     Args:
-        dataset: What is converted.
+        dataset: The dataset, collection or selection.
         out: The folder to write.
         to: Name of a format, or MODULE:CLASS.
-        choices: What the format is told.
+        choices: Parameters of the format.
         splits: Names of the splits.
-        execute: What does the work.
+        execute: Executor of the work.
         on_start: Called with the number of samples when the work begins.
-        on_done: Called with the number of samples done.
+        on_done: Called with the number of samples done, after each task.
+
+    Returns:
+        Counts of samples, lines for samples that could not be read, and notes.
 
     Raises:
-        DatasetError: There is no such format, `out` holds another conversion, or the disk refuses.
+        DatasetError: There is no such format, `out` holds another conversion, or the disk fails.
     """
     with raised_as(DatasetError):
         kind = FORMATS.find(to)
     form = kind(choices)
-    manifests = [one.manifest for one in dataset.datasets]
-    about = {
+    manifests = [part.manifest for part in dataset.datasets]
+    state = {
         "format": to,
         "choices": asdict(choices),
         "digest": dataset.digest,
-        "shards": [shard.sha256 for one in manifests if not one.complete for shard in one.shards],
+        "shards": [
+            shard.sha256
+            for manifest in manifests
+            if not manifest.complete
+            for shard in manifest.shards
+        ],
         "grid": manifests[0].tables.grid,
     }
-    classes = {one.parts["labels"].classes for one in manifests if "labels" in one.parts}
+    classes = {
+        manifest.parts["labels"].classes for manifest in manifests if "labels" in manifest.parts
+    }
     if len(classes) == 1 and isinstance(form, OneEach):
-        about["classes"] = form.classes = tuple(*classes)
-    claim(out, STATE, about)
-    each = getattr(form, "together", None) or CHUNK
+        state["classes"] = form.classes = tuple(*classes)
+    # refuses a folder of another dataset or other parameters, whose files would be kept
+    claim(out, STATE, state)
+    chunk = getattr(form, "together", None) or CHUNK
     whole = [
         Rows(split, numbers)
         for split in splits
-        for numbers in chunked(range(len(dataset.split(split))), each)
+        for numbers in chunked(range(len(dataset.split(split))), chunk)
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)
-    there, broken = 0, dict[Rows, list[str]]()
+    existing, broken = 0, dict[Rows, list[str]]()
     work = partial(_write, dataset, out, form)
     try:
         for rows, count, wrong in counted(
@@ -103,28 +115,30 @@ def convert(
             on_done=on_done,
             size=lambda result: len(result[0].numbers),
         ):
-            there += count
+            existing += count
             broken[rows] = wrong
     finally:
-        for folder in out.glob("**/"):  # what killed runs have left
+        for folder in out.glob("**/"):  # temporary files of killed runs
             remove_drafts(folder)
+    # in the order of samples, however workers finished
     lines = tuple(line for rows in tasks for line in broken[rows])
-    others = sum(len(rows.numbers) for rows in whole) - total
+    remaining = sum(len(rows.numbers) for rows in whole) - total
     notes = form.notes() if isinstance(form, Classed) else []
-    return Converted(total - there - len(lines), there, others, lines, tuple(notes))
+    return Converted(total - existing - len(lines), existing, remaining, lines, tuple(notes))
 
 
 def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:
-    """Writes the samples `rows`; those of a format that takes several together become one file.
-    How many were there, and what is wrong with those that are left out."""
+    """Write samples, those of a format with `together` into one file. Return the rows, how many
+    samples existed, and a line for each sample that was left out."""
     samples, together = dataset.split(rows.split), getattr(form, "together", None)
-    there, broken = 0, list[str]()
+    existing, broken = 0, list[str]()
     for numbers in [rows.numbers] if together else ([number] for number in rows.numbers):
         paths = [out / name for name in form.names(rows.split, numbers[0])]
         left_out = paths[0].with_name(f"{paths[0].name}.left-out")
         if all(path.exists() for path in paths) and not left_out.exists():
-            there += len(numbers)
+            existing += len(numbers)
             continue
+        # datasets of a collection may have different sensors
         sensor = samples.home(numbers[0]).lidar
         chosen, lines = list[tuple[int, Sample]](), list[str]()
         for number in numbers:
@@ -132,7 +146,9 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
                 sample = samples[number]
                 samples.check(number)
                 if together:
-                    copy(sample)  # reads every field, so that none fails among those of others
+                    copy(
+                        sample
+                    )  # reads every field: a damaged sample must not spoil the others' file
                 else:
                     contents = form.encode(sample, dataset.grid, sensor)
                 chosen.append((number, sample))
@@ -145,11 +161,11 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
             contents = form.encode(chosen, dataset.grid, sensor)
         several = (contents,) if isinstance(contents, bytes) else contents
         files = dict(zip(paths, several, strict=True))
-        if lines:  # before the others, so that the next run makes them again
+        if lines:  # written first: while it exists, a later run writes the files again
             files = {left_out: "\n".join(lines).encode()} | files
         for path, content in files.items():
             make_parent(path)
             write_whole(path, content, sync=False)
         if not lines:
             left_out.unlink(missing_ok=True)
-    return rows, there, broken
+    return rows, existing, broken

@@ -1,4 +1,4 @@
-"""Recordings of Rerun (rerun.io), a hundred samples a file."""
+"""The format of Rerun's recordings (rerun.io), a hundred samples a file."""
 
 import os
 import tempfile
@@ -20,10 +20,10 @@ FREE = (120, 190, 230)
 
 
 def rerun() -> Any:
-    """Imports Rerun with its usage reporting off.
+    """Import Rerun without its usage reports.
 
-    It reports unless its user's settings forbid that or it is run by a machine (`CI`). One variable
-    makes it report all the same, another lets it send traces.
+    Rerun reports unless the user's settings forbid it or `CI` is set. `FORCE_RERUN_ANALYTICS`
+    overrides both, and `TELEMETRY_ENABLED` lets it send traces.
     """
     os.environ.pop("FORCE_RERUN_ANALYTICS", None)
     os.environ.update(CI="true", TELEMETRY_ENABLED="false")
@@ -33,7 +33,7 @@ def rerun() -> Any:
 
 
 VIEWS = {"seen": "/scan /observed /sensor", "truth": "/occupancy /sensor"}
-"""What Rerun shows side by side at first."""
+"""Views that Rerun shows side by side, and the entities in each."""
 
 
 class Rerun(Together):
@@ -45,19 +45,25 @@ class Rerun(Together):
 
     def __init__(self, choices: Choices):
         super().__init__(choices)
-        rerun()  # where it is missing, nothing is written
+        rerun()  # if it is not installed, fail before anything is written
 
     def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
-        """The content of a file."""
+        """Return the content of a file.
+
+        Args:
+            samples: Numbers and samples.
+            grid: Grid of their maps.
+            lidar: Their sensor.
+        """
         library = rerun()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "part.rrd"
-            # the library draws an id: Rerun takes files of equal ids for one recording
+            # without an id the library draws one: Rerun joins files of equal ids
             with library.RecordingStream("scenegen") as stream:
                 stream.save(path)
                 views = [
-                    library.blueprint.Spatial3DView(name=view, contents=shown.split())
-                    for view, shown in VIEWS.items()
+                    library.blueprint.Spatial3DView(name=view, contents=entities.split())
+                    for view, entities in VIEWS.items()
                 ]
                 stream.send_blueprint(library.blueprint.Horizontal(*views))
                 stream.log("/", library.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -71,7 +77,7 @@ class Rerun(Together):
 
 
 def _entities(sample: Sample, grid: GridSpec, lidar: Sensor) -> dict[str, tuple[Any, Any, float]]:
-    """Points, colours and radius of what is shown of a sample, by name."""
+    """Return points, colours and radius of each entity of a sample, by its name."""
     centres, half = grid.centres(sample.origin), grid.voxel_m / 2
     shades = (255 * colour(np.linspace(0, 1, grid.shape[2]), HEIGHTS)).astype(np.uint8)
     heights = np.broadcast_to(shades, (*grid.shape, 3))

@@ -1,5 +1,5 @@
-"""Recordings of ROS, 1 and 2, read without ROS, and MCAP files (mcap.dev) with ROS 2 messages:
-point clouds, and where their frames were."""
+"""ROS messages in files: reads point clouds and poses from recordings of ROS 1 and ROS 2, without
+ROS, and writes MCAP files (mcap.dev) with ROS 2 messages."""
 
 import struct
 from collections import defaultdict
@@ -25,15 +25,225 @@ DEFINITIONS = {
     name: (FOLDER / f"{Path(name).name}.msg").read_text(encoding="utf-8")
     for name in (CLOUD, TRANSFORMS)
 }
-"""ROS's common interfaces, as far as they are used."""
+"""Texts of the definitions of ROS messages, by the name of the type."""
 POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-"""NumPy's names of PointField's types, by their numbers there."""
+"""NumPy's names of PointField's data types, by their number in ROS."""
+ODOMETRY = "nav_msgs/msg/Odometry"
+FRAMES = (TRANSFORMS, "tf/msg/tfMessage")
+"""Types of messages on /tf; old recordings of ROS 1 have the second."""
+LIVOX = tuple(
+    f"livox_{package}/msg/CustomMsg" for package in ("ros_driver2", "interfaces", "ros_driver")
+)
+"""Livox's CustomMsg, as its drivers for ROS 2 and ROS 1 name it."""
+LIVOX_TIME = "offset_time"
+"""The first field of a point in a CustomMsg."""
+LIVOX_BYTES = 19
+"""Bytes of a point in a CustomMsg: time (uint32, ns), x, y, z (float32, m), and three more."""
+
+
 Row = tuple[int, int, Mapping[str, tuple[str, Any]]]
-"""A number, a time in nanoseconds, and messages by topic, each with its kind before it."""
+"""Number, time in nanoseconds, and messages by topic, each as (type, message)."""
+
+
+Reader: TypeAlias = tuple[str, Callable[[], Cloud]]
+"""The name of a cloud, for errors, and a function that reads it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """The topic of clouds of a recording, without their points but for a few samples."""
+
+    topic: str
+    """Topic of the clouds."""
+    frame: str
+    """Frame of the clouds."""
+    stamps_s: Floats
+    """(n,): the times of the clouds, seconds."""
+    links: Links
+    """Poses of frames in one another, over time."""
+    samples: dict[int, Cloud]
+    """Some of the clouds, spread over the recording, by number."""
+
+
+class Recording:
+    """Reader of a recording's clouds, transforms and odometry. Messages are decoded by ROS's own
+    definitions, not by those in the file, which may be wrong or hostile."""
+
+    def __init__(self, path: Path):
+        """Prepare to read a recording; `contents` opens it.
+
+        Args:
+            path: A file, or the folder of a bag of ROS 2.
+
+        Raises:
+            ModuleNotFoundError: The extra `rosbags` is not installed.
+        """
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self._path, self._first = path, path.suffix == ".bag"
+        store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
+        # the type store lacks messages of /tf of ROS 1, under either name
+        for name in FRAMES if self._first else ():
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self._reader: Any = Reader1 if self._first else Reader2
+        self._decode = store.deserialize_ros1 if self._first else store.deserialize_cdr
+
+    def contents(self, topic: str | None, fixed_frame: str | None = None) -> Contents:
+        """Read all but points, in one pass.
+
+        Args:
+            topic: Topic of the clouds. None: the only one.
+            fixed_frame: The frame that poses are in, see `Links`.
+
+        Raises:
+            DatasetError: There are no clouds, clouds on several topics and no `topic`, or clouds
+                of several frames.
+        """
+        heads, links = defaultdict[str, list[tuple[float, str]]](list), Links(fixed_frame)
+        samples = defaultdict[str, dict[int, tuple[str, bytes]]](dict)
+        for kind, name, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
+            with _readable(self._path):
+                if kind not in (CLOUD, *LIVOX):
+                    links.add(name, self._decode(data, kind))
+                    continue
+                if len(heads[name]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
+                    samples[name][len(heads[name])] = kind, data
+                heads[name].append(self._head(data)[:2])
+        if topic is None and len(heads) > 1:
+            raise DatasetError(
+                f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
+                "--topic"
+            )
+        topic = topic or next(iter(heads), "")
+        if topic not in heads:
+            raise DatasetError(
+                f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
+            )
+        # two sensors on one topic cannot be told apart in a map
+        frames = sorted({frame for _, frame in heads[topic]})
+        if len(frames) > 1:
+            raise DatasetError(
+                f"{self._path}: the clouds on {topic} are of several frames, {', '.join(frames)}; "
+                "expected those of one sensor"
+            )
+        stamps = np.array([time for time, _ in heads[topic]])
+        clouds = {n: self._read(*sample) for n, sample in samples[topic].items()}
+        return Contents(topic, frames[0], stamps, links, clouds)
+
+    def clouds(self, topic: str) -> Iterator[Reader]:
+        """Yield the name of each cloud of a topic, and a function that reads it."""
+        for kind, sender, data in self._messages(CLOUD, *LIVOX):
+            if sender == topic:
+                name = f"{self._path}: cloud at {self._head(data)[0]:.14g} s"
+                yield name, partial(self._read, kind, data)
+
+    def _read(self, kind: str, data: bytes) -> Cloud:
+        with _readable(self._path):
+            if kind == CLOUD:
+                return _of_cloud(self._decode(data, CLOUD))
+            return _of_livox(data, *self._head(data)[2:], packed=self._first)
+
+    def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
+        """Yield type, topic and bytes of every message of these types, in the order of
+        recording."""
+        with _readable(self._path), self._reader(self._path) as reader:
+            chosen = [entry for entry in reader.connections if entry.msgtype in kinds]
+            for connection, _, data in reader.messages(chosen) if chosen else ():
+                yield connection.msgtype, connection.topic, data
+
+    def _head(self, data: bytes) -> tuple[float, str, str, int]:
+        """Read the header of a message: its time in seconds, its frame, the byte order, and the
+        offset of the first byte after the header."""
+        # ROS 2 begins with four bytes of CDR, of which the second has the byte order; ROS 1 begins
+        # with a sequence number of four bytes, and is always little-endian
+        order = "<" if self._first or data[1] & 1 else ">"
+        whole, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
+        frame = data[16 : 16 + length].rstrip(b"\0").decode()
+        return whole + 1e-9 * fraction, frame, order, 16 + length
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn any error of a reader into DatasetError."""
+    try:
+        yield
+    except (DatasetError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # the reader's own, struct's, and others for a crafted file
+        raise DatasetError(
+            f"{path}: cannot be read as a recording of ROS: {printable(error)[:200]}"
+        ) from None
+
+
+def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
+    """Read the points of a CustomMsg whose header ends at `start`.
+
+    After the header come a time of 8 bytes, the number of points, four other bytes, and the length
+    of the array of points. Unless the message is `packed` (ROS 1), numbers are aligned to their
+    size.
+
+    Raises:
+        ValueError: The numbers of points differ, or the data ends before the last.
+    """
+    if not packed:  # CDR aligns after its own four bytes
+        start = 4 + -(-(start - 4) // 8) * 8
+    promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
+    step = LIVOX_BYTES if packed else LIVOX_BYTES + 1
+    content = data[start + 20 :]
+    complete = (len(content) + step - LIVOX_BYTES) // step
+    if not promised == count <= complete:
+        raise ValueError(f"promises {promised} points and holds {min(count, complete)}")
+    axes = [(axis, f"{order}f4") for axis in "xyz"]
+    dtype = np.dtype([(LIVOX_TIME, f"{order}u4"), *axes, ("more", f"V{step - 16}")])
+    # the last point may lack its padding
+    rows = np.frombuffer(content.ljust(count * step, b"\0"), dtype, count)
+    return _of_rows(rows, "offset_time x y z reflectivity tag line")
+
+
+def _of_rows(rows: NDArray[Any], layout: str) -> Cloud:
+    """Make a cloud of a structured array (n,); `layout` names its fields, for people."""
+    return cloud_of(
+        Table({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
+    )
+
+
+def _of_cloud(cloud: Any) -> Cloud:
+    """Read the points of a PointCloud2. Raises ValueError if its data has not the size that its
+    fields say."""
+    fields = {field.name: field for field in cloud.fields}
+    order = ">" if cloud.is_bigendian else "<"
+    # NumPy's type of a point: the fields that are read, each with its offset
+    layout: Any = {
+        name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
+        for name in used_fields([*fields])
+    }
+    shape, point_bytes, held = (cloud.height, cloud.width), cloud.point_step, len(cloud.data)
+    row_bytes = point_bytes * shape[1]
+    # some drivers leave `row_step` at 0: it is read only if rows have gaps
+    if row_bytes * shape[0] != held:
+        row_bytes = cloud.row_step
+    min_bytes = np.dtype(layout).itemsize  # with a smaller step, points would overlap
+    fits = min_bytes <= point_bytes and point_bytes * shape[1] <= row_bytes
+    if row_bytes * shape[0] != held or not fits:
+        raise ValueError(
+            f"promises {' × '.join(map(str, shape))} points of {point_bytes} bytes in rows of "
+            f"{row_bytes}, and holds {held}; expected points of {min_bytes} or more"
+        )
+    strides = row_bytes, point_bytes
+    rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
+    return _of_rows(rows, " ".join(fields))
 
 
 def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -> None:
-    """Write MCAP with ROS 2 messages of these kinds."""
+    """Write a file of MCAP with ROS 2 messages.
+
+    Args:
+        file: The open file.
+        kinds: Types of the messages, of `DEFINITIONS`.
+        rows: The messages, in the order of time; see `Row`.
+    """
     from mcap_ros2.writer import Writer
 
     writer = Writer(file)
@@ -53,7 +263,11 @@ def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[st
         points: (n, 3), metres; written as float32.
         header: The message's header.
         more: Further fields of each point, (n,), of the types in `POINT_TYPES`.
+
+    Returns:
+        The message's fields by name; points are packed, without gaps.
     """
+    # little-endian in the message, whatever this machine has
     columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.rec.fromarrays([*columns.values()], dtype)
@@ -71,186 +285,3 @@ def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[st
         "data": rows.tobytes(),
         "is_dense": True,
     }
-
-
-ODOMETRY = "nav_msgs/msg/Odometry"
-FRAMES = (TRANSFORMS, "tf/msg/tfMessage")
-"""What is on /tf; the second is of old recordings of ROS 1."""
-LIVOX = tuple(
-    f"livox_{package}/msg/CustomMsg" for package in ("ros_driver2", "interfaces", "ros_driver")
-)
-"""Livox's own message, as its drivers for ROS 2 and ROS 1 call it."""
-LIVOX_TIME = "offset_time"
-"""Its points' first field."""
-LIVOX_BYTES = 19
-"""Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
-
-
-Reader: TypeAlias = tuple[str, Callable[[], Cloud]]
-"""The name of a cloud, for errors, and what reads it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Contents:
-    """What a recording holds."""
-
-    topic: str
-    """That of the clouds."""
-    frame: str
-    """That of the clouds."""
-    stamps_s: Floats
-    """(n,): the times of the clouds, seconds."""
-    links: Links
-    samples: dict[int, Cloud]
-    """Some of the clouds, spread over the recording, by number."""
-
-
-class Recording:
-    """A recording's messages of the kinds that a log is made of. Their types are those that we
-    know, not those that the file defines."""
-
-    def __init__(self, path: Path):
-        """The recording in a file, or in a bag's folder. Raises ModuleNotFoundError without the
-        extra."""
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self._path, self._first = path, path.suffix == ".bag"
-        store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
-        for name in FRAMES if self._first else ():
-            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
-        self._reader: Any = Reader1 if self._first else Reader2
-        self._decode = store.deserialize_ros1 if self._first else store.deserialize_cdr
-
-    def contents(self, topic: str | None, fixed_frame: str | None = None) -> Contents:
-        """Read everything but points.
-
-        Args:
-            topic: That of the clouds, which must be named if there are several.
-            fixed_frame: The frame that poses are in, see `Links`.
-
-        Raises:
-            DatasetError: There are no clouds, or those of several topics or frames.
-        """
-        heads, links = defaultdict[str, list[tuple[float, str]]](list), Links(fixed_frame)
-        samples = defaultdict[str, dict[int, tuple[str, bytes]]](dict)
-        for kind, on, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
-            with _readable(self._path):
-                if kind not in (CLOUD, *LIVOX):
-                    links.add(on, self._decode(data, kind))
-                    continue
-                if len(heads[on]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
-                    samples[on][len(heads[on])] = kind, data
-                heads[on].append(self._head(data)[:2])
-        if topic is None and len(heads) > 1:
-            raise DatasetError(
-                f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
-                "--topic"
-            )
-        topic = topic or next(iter(heads), "")
-        if topic not in heads:
-            raise DatasetError(
-                f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
-            )
-        frames = sorted({frame for _, frame in heads[topic]})
-        if len(frames) > 1:
-            raise DatasetError(
-                f"{self._path}: the clouds on {topic} are of several frames, {', '.join(frames)}; "
-                "expected those of one sensor"
-            )
-        stamps = np.array([time for time, _ in heads[topic]])
-        clouds = {n: self._read(*sample) for n, sample in samples[topic].items()}
-        return Contents(topic, frames[0], stamps, links, clouds)
-
-    def clouds(self, topic: str) -> Iterator[Reader]:
-        """What reads each cloud of a topic."""
-        for kind, on, data in self._messages(CLOUD, *LIVOX):
-            if on == topic:
-                name = f"{self._path}: cloud at {self._head(data)[0]:.14g} s"
-                yield name, partial(self._read, kind, data)
-
-    def _read(self, kind: str, data: bytes) -> Cloud:
-        with _readable(self._path):
-            if kind == CLOUD:
-                return _of_cloud(self._decode(data, CLOUD))
-            return _of_livox(data, *self._head(data)[2:], packed=self._first)
-
-    def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
-        """The kind, topic and content of every message of some kinds, in the order of recording."""
-        with _readable(self._path), self._reader(self._path) as reader:
-            chosen = [one for one in reader.connections if one.msgtype in kinds]
-            for connection, _, data in reader.messages(chosen) if chosen else ():
-                yield connection.msgtype, connection.topic, data
-
-    def _head(self, data: bytes) -> tuple[float, str, str, int]:
-        """Of a message that begins with a header: its time, seconds, its frame, its byte order, and
-        where the header ends."""
-        order = "<" if self._first or data[1] & 1 else ">"  # four bytes say so: of ROS 1, a count
-        whole, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
-        frame = data[16 : 16 + length].rstrip(b"\0").decode()
-        return whole + 1e-9 * fraction, frame, order, 16 + length
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Says that a file is no recording whatever its reader raises."""
-    try:
-        yield
-    except (DatasetError, ModuleNotFoundError):
-        raise
-    except Exception as error:  # the library's, struct's, and what else a crafted file brings
-        raise DatasetError(
-            f"{path}: cannot be read as a recording of ROS: {printable(error)[:200]}"
-        ) from None
-
-
-def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
-    """The points of a CustomMsg. After its header come a time of 8 bytes, how many points it
-    promises, four bytes, and how many follow; where the message is not `packed`, numbers lie at
-    multiples of their size."""
-    if not packed:
-        start = 4 + -(-(start - 4) // 8) * 8
-    promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
-    step = LIVOX_BYTES if packed else LIVOX_BYTES + 1
-    rest = data[start + 20 :]
-    held = (len(rest) + step - LIVOX_BYTES) // step
-    if not promised == count <= held:
-        raise ValueError(f"promises {promised} points and holds {min(count, held)}")
-    axes = [(axis, f"{order}f4") for axis in "xyz"]
-    dtype = np.dtype([(LIVOX_TIME, f"{order}u4"), *axes, ("more", f"V{step - 16}")])
-    rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
-    return _of_rows(rows, "offset_time x y z reflectivity tag line")
-
-
-def _of_rows(rows: NDArray[Any], layout: str) -> Cloud:
-    """The cloud of a structured array (n,)."""
-    return cloud_of(
-        Table({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
-    )
-
-
-def _of_cloud(cloud: Any) -> Cloud:
-    """The points of a PointCloud2. Raises ValueError if the message does not hold what it
-    promises."""
-    fields = {field.name: field for field in cloud.fields}
-    order = ">" if cloud.is_bigendian else "<"
-    # NumPy's type of a point: the fields that are read, each with its offset
-    layout: Any = {
-        name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
-        for name in used_fields([*fields])
-    }
-    shape, point_bytes, held = (cloud.height, cloud.width), cloud.point_step, len(cloud.data)
-    row_bytes = point_bytes * shape[1]
-    if row_bytes * shape[0] != held:  # rows have gaps; else drivers may leave out how long one is
-        row_bytes = cloud.row_step
-    least = np.dtype(layout).itemsize  # points that overlapped would be more than the bytes
-    fits = least <= point_bytes and point_bytes * shape[1] <= row_bytes
-    if row_bytes * shape[0] != held or not fits:
-        raise ValueError(
-            f"promises {' × '.join(map(str, shape))} points of {point_bytes} bytes in rows of "
-            f"{row_bytes}, and holds {held}; expected points of {least} or more"
-        )
-    strides = row_bytes, point_bytes
-    rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
-    return _of_rows(rows, " ".join(fields))

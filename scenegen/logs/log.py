@@ -1,7 +1,7 @@
-"""A log: its poses, what reads its clouds, and how all of it was read.
+"""A log of a real sensor: its poses, its clouds, and how both were read.
 
-`find_clock` determines which field of its clouds has the times of points, and in which unit, by the
-time that they span.
+The times of points have no standard name or unit. `find_clock` determines the field and the unit
+from the time that a cloud spans.
 """
 
 import itertools
@@ -23,11 +23,11 @@ from scenegen.worlds.clouds import Cloud, check_scan
 from scenegen.worlds.poses import UNITS
 
 MIN_SPAN, MAX_SPAN = 0.05, 1.5
-"""The times of a scan's points span at least and at most this share of the time between scans."""
+"""Minimum and maximum span of the times of a scan's points, by the time between scans."""
 CLOCK_S = 1.0
-"""Clocks that are farther apart than this are two."""
+"""Maximum difference between times of the same clock, seconds."""
 SHARE = "shares of a scan"
-"""The unit of times from 0 to 1."""
+"""Name of the unit of times that go from 0 to 1 in each scan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +37,25 @@ class Log:
     times_s: Floats
     """(n,): when each scan began, seconds."""
     poses: tuple[Pose, ...]
-    """The sensor's at each, as many."""
+    """(n,): the sensor's pose in the world at each time."""
     without_pose: int
-    """Scans that are left out: none of the poses is of their time."""
+    """Scans that were left out since no pose is known at their time."""
     scans: Callable[..., Iterator[LogScan]]
-    """Reads the n scans, or those from a number on."""
+    """Read the n scans, or with a number, those from it on."""
     about: Mapping[str, str] = field(default_factory=dict)
     """How clouds, points, poses and times were read, in words."""
     details: Mapping[str, str] = field(default_factory=dict)
-    """More of that."""
+    """Further lines of that kind, which only `explained` shows."""
     no_point_times: str = ""
     """Why the times of points are not known, for an error; "" if they are, or may be."""
 
     def line(self) -> str:
-        """How it was read, as a line for people."""
+        """Return how the log was read, in one line for people."""
         return f"read: {', '.join(self.about.values())}"
 
     def explained(self) -> dict[str, str]:
-        """How it was read, with what its times and its first cloud say. Reads that cloud."""
+        """Return how the log was read, with facts of its times and its first cloud, which is
+        read."""
         scan = next(self.scans())
         ranges = np.sqrt((scan.points[np.isfinite(scan.points).all(axis=1)] ** 2).sum(axis=1))
         first = f"{len(scan.points)} points"
@@ -71,7 +72,11 @@ class Log:
         }
 
     def check_point_times(self) -> None:
-        """Raise DatasetError if the times of its points are not known."""
+        """Check that the times of points are known, as deskewing needs.
+
+        Raises:
+            DatasetError: They are not; says why.
+        """
         if self.no_point_times:
             raise DatasetError(f"{self.no_point_times}; leave out --deskew, or mend the times")
 
@@ -87,25 +92,25 @@ def make_log(
     about: Mapping[str, str],
     details: Mapping[str, str],
 ) -> Log:
-    """A log of the scans that have a pose.
+    """Make a log of the scans that have a pose.
 
     Args:
         path: Where it is, for errors.
         times: (n,): when each scan began, seconds.
-        poses: (n,): the sensor's, None if it is not known.
-        clouds: Reads the n clouds.
-        samples: Some of these by number, whose times of points decide how all are read.
-        posed_s: (m,): for which times poses are known, rising; empty or NaN for all.
-        about: `Log.about`, but for the times of points.
-        details: `Log.details`, likewise.
+        poses: (n,): the sensor's pose in the world, None if it is not known.
+        clouds: Function that yields the name of each of the n clouds, and its reader.
+        samples: Some clouds by number; their times of points decide how all are read.
+        posed_s: (m,): times at which poses are known, rising; empty or NaN if they have none.
+        about: `Log.about` without the times of points.
+        details: `Log.details` without the times of points.
 
     Raises:
-        DatasetError: No scan has a pose, or one is too far out.
+        DatasetError: No scan has a pose, or a pose is beyond `MOST_LENGTH_M`.
     """
     placed = [n for n, pose in enumerate(poses) if pose is not None]
     if not placed:
         raise DatasetError(
-            f"{path}: no pose is of the time of any of its {len(poses)} scans: these are "
+            f"{path}: none of its {len(poses)} scans has a pose at its time: scans are "
             f"{span(times)}, and poses {span(posed_s)}; expected seconds of the same clock"
         )
     held = tuple(filter(None, poses))
@@ -114,6 +119,7 @@ def make_log(
             f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
             "position from all (UTM lies so far out), or give them in metres"
         )
+    # a log without times of points is a log: only `--deskew` needs them
     clock, fault, point_times = None, "", {}
     try:
         raw = [RawTimes.of_cloud(cloud, times[n]) for n, cloud in samples.items()]
@@ -124,8 +130,8 @@ def make_log(
 
     def scans(first: int = 0) -> Iterator[LogScan]:
         rows = zip(times.tolist(), poses, clouds(), strict=True)
-        kept = ((time, pose, reader) for time, pose, reader in rows if pose is not None)
-        for time, pose, (name, read) in itertools.islice(kept, first, None):
+        posed = ((time, pose, reader) for time, pose, reader in rows if pose is not None)
+        for time, pose, (name, read) in itertools.islice(posed, first, None):
             cloud = read()
             check_scan(cloud.points, np.zeros(3), name)
             seconds = clock.seconds(RawTimes.of_cloud(cloud, time)) if clock else None
@@ -143,12 +149,12 @@ def make_log(
 
 
 def span(times_s: Floats) -> str:
-    """The first and last of times, in words."""
+    """Return the first and last time, for people."""
     return f"from {times_s[0]:.14g} to {times_s[-1]:.14g} s"
 
 
 def period_s(times_s: Floats) -> float:
-    """The time from scan to scan (median), seconds; NaN if no time is after another."""
+    """Return the median time between scans, seconds; NaN if no time is after another."""
     steps = np.diff(times_s)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else math.nan
 
@@ -160,17 +166,22 @@ class RawTimes:
     fields: Mapping[str, NDArray]
     """By name, (n,), as the driver writes them."""
     returned: NDArray[np.bool_]
-    """(n,): whether there is a return, whose time counts."""
+    """(n,): whether the ray returned; other times may be anything."""
     stamp_s: float
     """The cloud's own time, seconds."""
 
     @classmethod
     def of_cloud(cls, cloud: Cloud, stamp_s: float) -> "RawTimes":
-        """Those of a cloud, which begins at `stamp_s`."""
+        """Take the fields of a cloud.
+
+        Args:
+            cloud: The cloud.
+            stamp_s: Its time, seconds.
+        """
         return cls(cloud.times, cloud.returned, stamp_s)
 
     def of(self, name: str) -> Floats:
-        """A field's values at returns, in its unit."""
+        """Return a field's values at returns, in the field's unit."""
         return self.fields[name][self.returned].astype(np.float64)
 
 
@@ -182,19 +193,20 @@ class PointClock:
     unit: str
     unit_s: float
     origin: str
-    """What is 0: "the stamp", "the clock of the stamps", or "the first point"."""
+    """Where times begin: "the stamp", "the clock of the stamps", or "the first point"."""
     max_span_s: float
-    """Scans whose times span more have none."""
+    """Maximum span of a scan, seconds; times of longer scans are wrong, and not used."""
 
     def seconds(self, raw: RawTimes) -> Floats | None:
-        """When points were measured, (n,), seconds after the cloud's stamp, or after its first
-        return for a clock of its own; 0 where nothing returned. None if that cannot be true."""
+        """Return when points were measured, (n,), seconds after the cloud's stamp (after its first
+        return if the clock is another); 0 where nothing returned. None if times are impossible."""
         if self.field not in raw.fields:
             return None
         if not raw.returned.any():
             return np.zeros(len(raw.returned))
         times = raw.fields[self.field].astype(np.float64) * self.unit_s
         begin = {"the clock of the stamps": raw.stamp_s, "the stamp": 0.0}
+        # a clock of its own has no common origin with the stamps
         times -= begin.get(self.origin, times[raw.returned].min())
         valid = times[raw.returned]
         far = max(abs(valid.min()), abs(valid.max()), np.ptp(valid))
@@ -202,7 +214,7 @@ class PointClock:
 
     @property
     def details(self) -> str:
-        """What a time is counted from, and how long a scan may be, in words."""
+        """Origin of times and maximum span of a scan, for people."""
         return f"from {self.origin}; of a scan, they span at most {self.max_span_s:.4g} s"
 
     def __str__(self) -> str:
@@ -210,18 +222,19 @@ class PointClock:
 
 
 def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
-    """Determine which field has the times of points, and its unit, from what it spans.
+    """Determine which field has the times of points, and its unit, from the field's span.
 
     Args:
         samples: Some clouds of a log.
         period_s: Time between its scans, seconds; NaN if it is not known.
 
     Returns:
-        How times are read.
+        The field, its unit, and its origin.
 
     Raises:
-        ValueError: There is no such field, or none whose times can be true.
+        ValueError: No field has times, or no unit makes a field's times fit the period.
     """
+    # a span needs two returns
     samples = [sample for sample in samples if sample.returned.sum() > 1]
     names = list(samples[0].fields) if samples else []
     names = [name for name in names if all(name in sample.fields for sample in samples)]
@@ -244,6 +257,7 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
         firsts = np.array([sample.of(name).min() * unit_s for sample in samples])
         late = abs(firsts - [sample.stamp_s for sample in samples]).max()
         reach = MAX_SPAN * period_s
+        # times count from the stamp, or on the stamp's clock, or on the sensor's own clock
         if abs(firsts).max() <= reach:
             origin = "the stamp"
         elif late <= reach:
@@ -261,11 +275,12 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
 
 
 def _unit(samples: Sequence[RawTimes], name: str, period_s: float) -> tuple[str, float] | None:
-    """The unit of a field, and how many seconds it is; None if it fits none, or several."""
+    """Return the unit of a field, and its seconds; None if none fits, or several do."""
     values = [sample.of(name) for sample in samples]
     span = float(np.median([np.ptp(times) for times in values]))
     low, high = min(map(np.min, values)), max(map(np.max, values))
     is_float = samples[0].fields[name].dtype.kind == "f"
+    # some drivers write 0 to 1 over a scan
     shares = is_float and 0 <= low <= 0.1 and 0.9 <= high <= 1
     fitting = [
         (unit, scale)

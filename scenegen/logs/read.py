@@ -1,5 +1,5 @@
-"""Logs of real sensors: recordings of ROS, which `bags` reads, and folders of clouds, in KITTI's
-odometry layout or with a file of poses."""
+"""Reads logs of real sensors: recordings of ROS, by `bags`, and folders of clouds, in the layout of
+KITTI's odometry or with a file of poses."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -33,16 +33,16 @@ from scenegen.worlds.poses import (
 )
 
 BAG = "metadata.yaml"
-"""What every bag of ROS 2 has in its folder."""
+"""The file that the folder of every bag of ROS 2 has."""
 USUAL_S = 0.1
-"""From scan to scan, where no times are known."""
+"""Time between scans if their times are not known, seconds."""
 TR_ARCHIVE = "data_odometry_calib.zip"
-"""The archive of KITTI's odometry whose calib.txt have the line Tr."""
+"""The archive of KITTI's odometry whose files calib.txt have a line Tr."""
 FRACTION = r"(?:([._-])(\d+))?"
 NAMED_TIME = re.compile(rf"(\d+){FRACTION}")
-"""The name of a cloud that is its time, where another sign may stand for the point."""
+"""Name of a cloud that is its time; `_` or `-` may stand for the decimal point."""
 NAMED_SINCE_1970 = re.compile(rf"(?<!\d)([1-9]\d{{9,}}){FRACTION}")
-"""The time in the name of a cloud, such as that of nuScenes: n008…__LIDAR_TOP__1532402927647951."""
+"""Time within the name of a cloud, as of nuScenes: n008…__LIDAR_TOP__1532402927647951."""
 PosesOf: TypeAlias = Literal["sensor", "camera"]
 
 
@@ -65,23 +65,24 @@ def read_log(
             names; or any number with times, if the clouds' stamps, ``times.txt`` or the clouds'
             names give theirs. A recording's own transforms and odometry are then not used.
         topic: The topic of the clouds, if a recording has several.
-        poses_of: What the poses of a folder are of: the sensor, or the camera, from which ``Tr`` in
-            ``calib.txt`` leads to the sensor. None: the camera for KITTI's own files, else the
-            sensor.
-        fixed_frame: The frame that poses are in, of those of a recording, see `Links`.
-        columns: Of clouds in a folder, see `scenegen.worlds.clouds.read_cloud`.
+        poses_of: Whether the poses of a folder are those of the sensor or of the camera; ``Tr`` in
+            ``calib.txt`` leads from one to the other. None: the camera for KITTI's own files, else
+            the sensor.
+        fixed_frame: The frame of a recording that poses are in, see `Links`.
+        columns: For a folder of clouds, see `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
-        DatasetError: There is no log, it is not as it should be, or it can be read in two ways.
+        DatasetError: There is no log, it is damaged, or it can be read in two ways.
     """
     if not path.is_dir() and not (path.is_file() and path.suffix in RECORDINGS):
         raise DatasetError(
             f"{path}: no such recording ({', '.join(RECORDINGS)}) or folder of clouds"
         )
-    beside = path / "poses.txt"
-    if not beside.exists():  # as KITTI's own archives have it
-        beside = kitti_poses(path)
-    recording = _recording_at(path) if poses or not beside.exists() else None
+    kitti_file = path / "poses.txt"
+    if not kitti_file.exists():  # KITTI's own archives keep poses in another folder
+        kitti_file = kitti_poses(path)
+    # without --poses, KITTI's layout counts before a recording in the same folder
+    recording = _recording_at(path) if poses or not kitti_file.exists() else None
     if recording is not None:
         if poses_of or columns:
             raise DatasetError(
@@ -93,17 +94,17 @@ def read_log(
         return _read_recording(recording, topic, poses, fixed_frame)
     if topic or fixed_frame:
         raise DatasetError(
-            f"{path}: a folder of clouds has no topics and frames; leave out --topic and "
+            f"{path}: a folder of clouds has no topics or frames; leave out --topic and "
             "--fixed-frame"
         )
-    if poses is None and not beside.exists():
+    if poses is None and not kitti_file.exists():
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
-    return _read_folder(path, poses, beside, poses_of, columns)
+    return _read_folder(path, poses, kitti_file, poses_of, columns)
 
 
 def _recording_at(path: Path) -> Path | None:
-    """The recording in a file, or in a folder: a bag of ROS 2, or the one file in it. None if a
-    folder holds none. Raises DatasetError if it holds several."""
+    """Return the path of the recording: `path` itself for a file or a bag of ROS 2, else the one
+    recording in the folder; None if there is none. Raises DatasetError if there are several."""
     if not path.is_dir() or (path / BAG).exists():
         return path
     recordings = recordings_in(path)
@@ -118,8 +119,11 @@ def _recording_at(path: Path) -> Path | None:
 def _read_recording(
     path: Path, topic: str | None, poses_file: Path | None, fixed_frame: str | None
 ) -> Log:
-    """The log in a recording, which is read twice: for poses, and for clouds. Its poses are in a
-    file, if there is one, or else its own."""
+    """Read the log in a recording, with the poses in `poses_file`, or else its own.
+
+    The file is read twice, for poses and then for clouds, so that no cloud has to wait in memory
+    for its pose.
+    """
     bag = Recording(path)
     contents = bag.contents(topic, fixed_frame)
     times = contents.stamps_s
@@ -148,8 +152,12 @@ def _read_recording(
 
 
 def _by_frames(contents: Contents) -> tuple[list[Pose | None], Floats, str, str]:
-    """The poses of a recording's clouds by its transforms and odometry, over which time they are
-    known, and in words where they come from, and by which links. Raises ValueError."""
+    """Return the poses of a recording's clouds by its transforms and odometry, the first and last
+    time at which they are known, and for people their source and their links.
+
+    Raises:
+        ValueError: See `Links.chain`.
+    """
     chain = contents.links.chain(contents.frame)
     poses = [pose_at(chain, time) for time in contents.stamps_s.tolist()]
     topics = dict.fromkeys(link.topic for link in chain)
@@ -161,8 +169,8 @@ def _by_frames(contents: Contents) -> tuple[list[Pose | None], Floats, str, str]
 
 
 def _at_stamps(track: Track, times: Floats, source: Path) -> list[Pose | None]:
-    """The poses of clouds with stamps at `times`. Raises DatasetError if nothing says which of a
-    track without times are theirs."""
+    """Return the poses of clouds with stamps at `times`. Raises DatasetError if the track has no
+    times, and not one pose for each cloud."""
     if track.is_timed:
         return [track.at(time) for time in times.tolist()]
     if len(track.poses) != len(times):
@@ -176,17 +184,17 @@ def _at_stamps(track: Track, times: Floats, source: Path) -> list[Pose | None]:
 def _read_folder(
     path: Path,
     poses_file: Path | None,
-    beside: Path,
+    kitti_file: Path,
     poses_of: PosesOf | None,
     columns: int | None,
 ) -> Log:
-    """The log in a folder of clouds.
+    """Read the log in a folder of clouds.
 
     Args:
         path: The folder, or one with the clouds in ``velodyne``.
         poses_file: A file of poses that the user names.
-        beside: Otherwise, that of KITTI's layout.
-        poses_of: What the poses are of; None: decided by form and place of the file.
+        kitti_file: The file of KITTI's layout, used if there is no `poses_file`.
+        poses_of: The sensor or the camera; None: decided by form and place of the file.
         columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
@@ -195,13 +203,14 @@ def _read_folder(
     clouds = path / KITTI_FOLDER
     if not clouds.is_dir():
         clouds = path
-    files, source = scans_in(clouds), poses_file or beside
+    files, source = scans_in(clouds), poses_file or kitti_file
     track = read_poses(source)
     if not files:
         raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)} files")
-    poses, of_what = track.poses, "sensor"
+    poses, poses_owner = track.poses, "sensor"
     if _is_of_camera(path / "calib.txt", source, track, poses_file is not None, poses_of):
-        camera, of_what = _camera(path / "calib.txt", source), "camera, moved by Tr,"
+        camera, poses_owner = _camera(path / "calib.txt", source), "camera, moved by Tr,"
+        # from the camera's frame to the sensor's, on both sides: in the world, and on the vehicle
         poses = [chained(chained(inverse(camera), pose), camera) for pose in poses]
     times, placed, pairs = _paired(path, files, Track(track.times_s, poses), source)
 
@@ -210,9 +219,10 @@ def _read_folder(
     def readers() -> Iterator[Reader]:
         return ((str(file), partial(read, file)) for file in files)
 
+    # two clouds show the unit of the times of points
     samples = dict(enumerate(map(read, files[:2])))
     first = samples[0]
-    if pairs["scan_times"].startswith("unknown"):  # so the unit of points' times is, too
+    if pairs["scan_times"].startswith("unknown"):  # then no unit fits the times of points
         samples = {}
     return make_log(
         path,
@@ -225,7 +235,7 @@ def _read_folder(
             "clouds": f"{len(files)} clouds",
             "fields": first.layout,
             "frame": "frame of the sensor",
-            "poses": f"poses of the {of_what} from {source.name}",
+            "poses": f"poses of the {poses_owner} from {source.name}",
         },
         details={"poses_form": track.form, **pairs},
     )
@@ -234,18 +244,22 @@ def _read_folder(
 def _paired(
     path: Path, files: Sequence[Path], track: Track, source: Path
 ) -> tuple[Floats, Sequence[Pose | None], dict[str, str]]:
-    """When each cloud began, seconds, its pose, and how both were found, in words. Raises
-    DatasetError if nothing says which pose is whose."""
-    known, named = _times_beside(path, len(files)), "times.txt"
-    if np.isnan(known).all() and track.is_timed:
-        known, named = _times_named(files, track.times_s), "the names of the clouds"
-    are_known = bool(np.isfinite(known).all())
+    """Return when each cloud began, seconds, its pose, and for people how both were found. Raises
+    DatasetError if poses and clouds cannot be paired."""
+    times, source_name = _times_beside(path, len(files)), "times.txt"
+    if np.isnan(times).all() and track.is_timed:
+        times, source_name = _times_named(files, track.times_s), "the names of the clouds"
+    are_known = bool(np.isfinite(times).all())
     in_order = len(files) == len(track.poses)
-    if in_order and are_known and track.is_timed:  # clocks may differ, but not in pace
-        in_order = bool(np.ptp(known - track.times_s) <= BEYOND_S)
+    if in_order and are_known and track.is_timed:  # clocks may differ, but not in their rate
+        in_order = bool(np.ptp(times - track.times_s) <= BEYOND_S)
     if not in_order and are_known and track.is_timed:
-        poses = [track.at(time) for time in known.tolist()]
-        return known, poses, {"scan_times": named, "pairs": f"by time, poses {span(track.times_s)}"}
+        poses = [track.at(time) for time in times.tolist()]
+        return (
+            times,
+            poses,
+            {"scan_times": source_name, "pairs": f"by time, poses {span(track.times_s)}"},
+        )
     if not in_order:
         raise DatasetError(
             f"{files[0].parent}: {len(files)} clouds and {len(track.poses)} poses in {source}; "
@@ -253,32 +267,38 @@ def _paired(
             "by number"
         )
     if track.is_timed:
-        known, named = track.times_s, source.name
+        times, source_name = track.times_s, source.name
     elif not are_known:
-        known, named = USUAL_S * np.arange(float(len(files))), f"unknown, {USUAL_S:g} s apart"
-    return known, track.poses, {"scan_times": named, "pairs": "one pose for each cloud, in order"}
+        times, source_name = USUAL_S * np.arange(float(len(files))), f"unknown, {USUAL_S:g} s apart"
+    return (
+        times,
+        track.poses,
+        {"scan_times": source_name, "pairs": "one pose for each cloud, in order"},
+    )
 
 
 def _times_beside(path: Path, count: int) -> Floats:
+    """Read ``times.txt``, seconds (count,); NaN if there is none."""
     file = path / "times.txt"
     if not file.exists():
         return np.full(count, np.nan)
     times = read_numbers(file)[1].reshape(-1)
     if len(times) != count:
         raise DatasetError(f"{file}: {len(times)} times of {count} clouds")
-    if (np.diff(times) < 0).any():
+    if (np.diff(times) < 0).any():  # a wrong column, or clouds of several logs
         raise DatasetError(f"{file}: a time is before the one above it")
     return to_seconds(times, f"{file}: times")[0]
 
 
 def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
-    """The times in the names of clouds, seconds (n,), of which some are between those of poses; NaN
-    where the names only count them, or not all have a time."""
+    """Read the times in the names of clouds, seconds (n,); NaN if names are only numbers, or not
+    all have a time. The unit is that which brings some between the times of poses."""
     parts = [
         NAMED_TIME.fullmatch(file.stem) or NAMED_SINCE_1970.search(file.name) for file in files
     ]
     matches = [part for part in parts if part]
     times = np.array([float(f"{part[1]}.{part[3] or 0}") for part in matches])
+    # 000000, 000001 … are numbers, but 1532402927647951 is a time
     count_only = not any(part[3] for part in matches) and (times < MIN_UNIX_S).all()
     if len(matches) < len(files) or count_only:
         return np.full(len(files), np.nan)
@@ -294,29 +314,32 @@ def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
 def _is_of_camera(
     calibration: Path, source: Path, track: Track, is_named: bool, poses_of: PosesOf | None
 ) -> bool:
-    """Whether the poses in `source` are those of KITTI's camera, not the sensor's. Raises
-    DatasetError if that is not known: for matrices in a file that `is_named` by the user, if there
-    is a Tr beside the clouds."""
+    """Whether the poses in `source` are those of KITTI's camera, not the sensor's.
+
+    Raises:
+        DatasetError: Both are possible: the user named the file (`is_named`), it has matrices, and
+            there is a Tr beside the clouds.
+    """
     if poses_of is not None:
         return poses_of == "camera"
     if track.is_timed or not is_named:
         return not track.is_timed
     if has_camera(calibration):
         raise DatasetError(
-            f"{source}: has matrices as KITTI's, and {calibration} a Tr; expected --poses-of "
+            f"{source}: has matrices like KITTI's, and {calibration} a Tr; expected --poses-of "
             "camera, as in KITTI's own files, or --poses-of sensor"
         )
     return False
 
 
 def _camera(calibration: Path, source: Path) -> Pose:
-    """Where the sensor is in the frame of KITTI's camera. Raises DatasetError if `calibration` does
-    not say so."""
+    """Return the sensor's pose in the frame of KITTI's camera. Raises DatasetError if `calibration`
+    has no Tr."""
     row = read_tr(calibration)
     if row is None:
         raise DatasetError(
             f"{calibration}: {'has no line Tr' if calibration.exists() else 'no such file'}; "
-            f"expected where the sensor is in the frame of the camera, which the poses in {source} "
-            f"are of: KITTI's {TR_ARCHIVE} has it; or --poses-of sensor, if they are the sensor's"
+            f"expected the sensor's pose in the camera, whose poses {source} has: take it from "
+            f"KITTI's {TR_ARCHIVE}; or --poses-of sensor, if the poses are the sensor's"
         )
     return pose_of_matrix(row, f"{calibration}: Tr")

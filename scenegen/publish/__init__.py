@@ -1,8 +1,7 @@
-"""A dataset for others: `card` describes it, `stage` puts
-the folder together, `upload` sends it.
+"""Publishes a dataset: `card` describes it, `stage` makes the folder, `upload` sends it.
 
-Here are the licences for data by their SPDX names. A command's help reads them: nothing heavy is
-imported.
+This file has the licences for data by their SPDX names. The help of a command reads them, so it
+imports nothing heavy.
 """
 
 LICENCES = {
@@ -35,6 +34,6 @@ LICENCES = {
         "https://opendatacommons.org/licenses/pddl/1-0/",
     ),
 }
-"""Name and address of each."""
+"""Name and address of each licence, by its SPDX name."""
 USUAL = "CC-BY-4.0"
-"""What data get where nothing else is asked for."""
+"""The licence of data by default."""

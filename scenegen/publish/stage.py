@@ -1,5 +1,5 @@
-"""From a dataset to the folder that is published: put together beside its final place, hashed, then
-moved there whole.
+"""Makes the folder that is published, from a dataset. It is complete and hashed before it gets its
+final name.
 """
 
 import datetime
@@ -34,17 +34,15 @@ from scenegen.view.page import page
 from scenegen.worlds.kinds import KINDS
 
 SUMS = "SHA256SUMS"
-"""Digest and name of every other file, as sha256sum writes and checks them."""
-
+"""File with digest and name of every other file, which `sha256sum --check` reads."""
 MOST_FILES = 100_000
-"""The most shards and archives that are published: of a repository with more files, the Hub says
-that it works badly."""
-MOST_LISTED = 300
-"""The most files of which Croissant has an entry each; of more, the manifest has the digests."""
+"""Maximum number of shards and archives. The Hub advises against repositories with more files."""
+MAX_LISTED = 300
+"""Maximum number of files with an entry each in Croissant; the manifest always has all digests."""
 SHOWN = 4
-"""How many samples are drawn as pictures."""
+"""Number of samples with a picture in the card."""
 PAGE, ON_PAGE = "look.html", 12
-"""The page to look at samples with, and how many it shows."""
+"""Name of the page that shows samples, and how many it shows."""
 ABOVE = """Above, from left to right: returns, observed voxels, occupied voxels, in the map's box; \
 below: three levels of the distances to the nearest occupied voxel. The red ball is the sensor."""
 LICENCE = """This dataset, published by {owner}, is licensed under
@@ -60,28 +58,27 @@ warranty.
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What is to be published, and as what."""
+    """A dataset to publish, and where."""
 
     dataset: Path
+    """Folder of the dataset."""
     repository: str
     """The repository on the Hub, as user/name."""
     out: Path
-    """Where the folder is put together."""
+    """The folder to make."""
     tag: str | None = None
-    """The name of the revision. None stands for the format's version and the beginning of the
-    digest, which names the content."""
+    """Name of the revision. None: the format's version and the first digits of the digest."""
     licence: str = USUAL
-    """The SPDX name of the data's licence, in any case."""
+    """SPDX name of the data's licence, in upper or lower case."""
     kind: str | None = None
-    """The dataset's kind, where its own module may be imported: a user's own, as
-    ``module:Class``."""
+    """The dataset's kind as ``module:Class``, which allows to import that module."""
 
     def __post_init__(self) -> None:
         known = {name.lower(): name for name in LICENCES}
         licence = known.get(self.licence.lower())
         if licence is None:
             raise PublishError(f"--licence {self.licence}: expected one of {', '.join(LICENCES)}")
-        object.__setattr__(self, "licence", licence)
+        object.__setattr__(self, "licence", licence)  # in SPDX's own case
         if not REPOSITORY.fullmatch(self.repository) or re.search(
             r"--|\.\.|[.-](/|$)|\.git$", self.repository
         ):
@@ -94,21 +91,32 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True)
 class Staged:
-    """A folder ready to go."""
+    """A folder that is ready to be sent."""
 
     folder: Path
+    """The folder."""
     repository: str
+    """The repository on the Hub, as user/name."""
     tag: str
+    """Name of the revision."""
     files: dict[str, int]
-    """Name of every file to its size in bytes."""
+    """Size of every file in bytes, by its name in the folder."""
     digest: str
+    """Digest of the dataset."""
 
 
 def examine(request: Request) -> Dataset:
-    """Open the dataset, and refuse at once everything that can be refused before its samples are
-    read.
+    """Open the dataset, and check all that can be checked without reading its samples.
 
-    Raises DatasetError, PublishError.
+    Args:
+        request: The request.
+
+    Returns:
+        The dataset.
+
+    Raises:
+        DatasetError: The dataset is damaged.
+        PublishError: The dataset cannot be published, or not into this folder.
     """
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
@@ -117,25 +125,28 @@ def examine(request: Request) -> Dataset:
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
             "generate it again with a larger --shard-samples, which changes no sample"
         )
-    made = dataset.manifest
-    if made.like is None:
-        _check_kind(made.kind, request.kind)
-    if not made.noise_is_ours:
+    described = dataset.manifest
+    if described.like is None:
+        _check_kind(described.kind, request.kind)
+    if not described.noise_is_ours:
         raise PublishError(
-            f"its noise, {short(made.noise_stages)}, has stages that are none of scenegen's own, "
-            "which are not imported; it cannot be said whether its command makes the same ranges "
-            "again"
+            f"its noise, {short(described.noise_stages)}, has stages that are none of scenegen's "
+            "own; publish does not import them, and so cannot say whether its command makes the "
+            "same ranges again"
         )
     if request.kind is not None:
-        made = manifest.parse(manifest.read_content(request.dataset), request.dataset, request.kind)
+        described = manifest.parse(
+            manifest.read_content(request.dataset), request.dataset, request.kind
+        )
+    # the command on the card must make the same dataset, which takes the same versions
     with raised_as(PublishError, of=DatasetError):
-        check_same(made, str(request.dataset))
+        check_same(described, str(request.dataset))
     return dataset
 
 
 def _check_kind(kind: str, named: str | None) -> None:
-    """Raise PublishError for a dataset of a kind whose worlds only a module of somebody's own can
-    draw, unless the user `named` it: no module is imported because a manifest names it."""
+    """Raise PublishError for a kind of a user's own module, unless the user `named` it: a module is
+    never imported because a manifest names it."""
     if kind != "scene" and kind not in KINDS.builtin and kind != named:
         raise PublishError(
             f"the dataset's kind, {short(kind)}, is none of scenegen's own, and only its module "
@@ -144,13 +155,13 @@ def _check_kind(kind: str, named: str | None) -> None:
         )
 
 
-def _environment_lock(made: Manifest) -> str:
-    """A requirements file of what the dataset's numbers depend on, in the versions that made it.
+def _environment_lock(described: Manifest) -> str:
+    """Return a requirements file with the packages that made the dataset's numbers.
 
-    scenegen itself stands in a comment: it is installed from its own source, and a line here would
-    ask a package index for whatever bears its name there.
+    scenegen itself is only in a comment: it is installed from its own source, and a package index
+    might have another package of its name.
     """
-    versions = dict(made.software)
+    versions = dict(described.software)
     lines = [f"# scenegen {versions.pop('scenegen', __version__)}, published with {__version__}"]
     lines.append(f"# {versions.pop('machine', 'unknown machine')}, commit {commit()}")
     lines += [f"{name}=={version}" for name, version in sorted(versions.items())]
@@ -158,28 +169,37 @@ def _environment_lock(made: Manifest) -> str:
 
 
 def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
-    """Put the folder together: shards and worlds, pictures, card, Croissant, recipe, lock, licence,
-    and checksums.
+    """Make the folder: shards and worlds, manifest, pictures, card, Croissant, requirements,
+    licence and checksums. The same request gives the same bytes.
 
-    `checks` are names and details of what the dataset passed. The same request gives the same
-    bytes. Raises DatasetError, PublishError.
+    Args:
+        request: The request.
+        checks: Name and detail of each check that the dataset passed.
+
+    Returns:
+        The folder and its files.
+
+    Raises:
+        DatasetError: The dataset is damaged.
+        PublishError: The dataset cannot be published, or not into this folder.
     """
     dataset = examine(request)
-    found, digest = dataset.manifest, str(dataset.manifest.digest)
+    described, digest = dataset.manifest, str(dataset.manifest.digest)
     content = (request.dataset / NAME).read_bytes()
     tag = request.tag or f"v{VERSION}-{digest[:8]}"
     with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
-        take(request.dataset, draft, found.files)
+        take(request.dataset, draft, described.files)
         write_whole(draft / NAME, content)
         if kept_measures(dataset):
             figures = measures_file(dataset)
             write_whole(draft / figures.name, figures.read_bytes())
         listed = {NAME: file_sha256(draft / NAME)}
-        sums = found.files | listed
-        told = inspect(Dataset(draft))
-        given = facts(
-            found,
-            told,
+        sums = described.files | listed
+        # of the draft, so that the card describes the files that are sent
+        summary = inspect(Dataset(draft))
+        values = facts(
+            described,
+            summary,
             request.repository,
             request.licence,
             tag=tag,
@@ -189,12 +209,12 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             pictures=_draw(dataset, draft),
         )
         texts = {
-            "README.md": card(given),
+            "README.md": card(values),
             "croissant.json": croissant(
-                given, found, told, sums if len(sums) <= MOST_LISTED else listed
+                values, described, summary, sums if len(sums) <= MAX_LISTED else listed
             ),
-            "LICENSE": LICENCE.format(spdx=request.licence, **given),
-            "requirements.lock.txt": _environment_lock(found),
+            "LICENSE": LICENCE.format(spdx=request.licence, **values),
+            "requirements.lock.txt": _environment_lock(described),
         }
         for file, text in texts.items():
             write_whole(draft / file, text.encode())
@@ -205,10 +225,10 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
 
 
 def _draw(dataset: Dataset, draft: Path) -> str:
-    """Draw a few evenly spread samples, where matplotlib is installed, and write a page of some
-    more, unless no browser takes such grids. Returns what shows them in the card."""
+    """Draw a few samples, if matplotlib is installed, and write a page of some more, if their grid
+    is not too large. Return Markdown that shows both in the card."""
     split = next(name for name in SPLITS if len(dataset.split(name)))
-    shown, notes = looks(dataset, split, evenly(len(dataset.split(split)), ON_PAGE))
+    samples, notes = looks(dataset, split, evenly(len(dataset.split(split)), ON_PAGE))
     parts = []
     if find_spec("matplotlib") is not None:
         from scenegen.view.panels import to_bytes
@@ -223,7 +243,7 @@ def _draw(dataset: Dataset, draft: Path) -> str:
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
     with suppress(DatasetError):  # a grid that is too large
-        text = page(shown, title=f"{dataset.kind}, {split}", notes=notes)
+        text = page(samples, title=f"{dataset.kind}, {split}", notes=notes)
         write_whole(draft / PAGE, text.encode())
         parts.append(
             f"Samples in three dimensions: download [{PAGE}]({PAGE}), and open it in a browser."
@@ -232,15 +252,25 @@ def _draw(dataset: Dataset, draft: Path) -> str:
 
 
 def check_out(dataset: Path, out: Path) -> None:
-    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what its
-    own list, of a former run, does not name."""
+    """Check that a folder may be written or replaced.
+
+    Args:
+        dataset: Folder of the dataset.
+        out: The folder to write.
+
+    Raises:
+        PublishError: `out` is a file, overlaps the dataset, or has files that publish did not
+            write.
+    """
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
-    there, here = real_path(out), real_path(dataset)
-    if there.is_relative_to(here) or here.is_relative_to(there):
+    target, source = real_path(out), real_path(dataset)
+    if target.is_relative_to(source) or source.is_relative_to(target):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
     files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
+    # links count as files: what they lead to is not ours
     foreign = {str(path.relative_to(out)) for path in files}
+    # an earlier run listed its files; without a readable list, no file is ours to replace
     with suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read_content(out)
         foreign -= {SUMS, *read_sums(out)}
@@ -252,38 +282,55 @@ def check_out(dataset: Path, out: Path) -> None:
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """The digests that `SUMS` lists, by the files' names."""
+    """Read the digests that `SUMS` lists, by the names of files."""
     lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
-    """Put the files `names` (each with its SHA-256) of a dataset into `draft`: as hard links, or as
-    copies elsewhere.
+    """Link files of a dataset into a folder, or copy them to another disk, and check their digests.
 
-    Raises PublishError for one that is not what its digest says.
+    Args:
+        source: Folder of the dataset.
+        draft: The folder.
+        names: SHA-256 of each file, by its name.
+
+    Raises:
+        PublishError: A file is missing, or has another digest.
     """
 
-    def take_one(name: str) -> None:
-        there, here = real_path(source / name), draft / name
-        make_parent(here)
-        if there.is_file():
+    def copy_checked(name: str) -> None:
+        """Link or copy a file.
+
+        Raises:
+            PublishError: It is missing, or has another digest.
+        """
+        original, copy = real_path(source / name), draft / name
+        make_parent(copy)
+        if original.is_file():
             try:
-                os.link(there, here)
-            except OSError:  # another disk, or a file system or owner that does not allow it
-                shutil.copyfile(there, here)
-        if not there.is_file() or file_sha256(here) != names[name]:
+                os.link(original, copy)
+            except OSError:  # another disk, or links are not allowed
+                shutil.copyfile(original, copy)
+        if not original.is_file() or file_sha256(copy) != names[name]:
             raise PublishError(
                 f"{source / name}: is not the file that {NAME} lists; generate it again"
             )
 
     with ThreadPoolExecutor() as pool:
-        list(pool.map(take_one, names))
+        list(pool.map(copy_checked, names))
 
 
 def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
-    """Write `SUMS` over all files of `draft`, those in `known` with the SHA-256 given there.
-    Returns name to size."""
+    """Write `SUMS` for all files of a folder.
+
+    Args:
+        draft: The folder.
+        known: SHA-256 of files that need not be read again, by name.
+
+    Returns:
+        Size of every file in bytes, by name.
+    """
     names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
     lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
     write_whole(draft / SUMS, "".join(lines).encode())
@@ -291,11 +338,17 @@ def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
 
 
 def former_date(out: Path, content: bytes) -> str | None:
-    """The date of publication in the folder `out`, if that folder publishes the dataset with the
-    manifest `content`.
+    """Return the date of publication in an existing folder of the same dataset.
 
-    A run that goes on after a stop takes this date, so that it sends the same files as the stopped
-    one."""
+    A run after a stop keeps this date, so that its files are those that the stopped run sent.
+
+    Args:
+        out: The folder.
+        content: Content of the dataset's manifest.
+
+    Returns:
+        YYYY-MM-DD; None if the folder does not exist, or has another dataset.
+    """
     with suppress(OSError, ValueError, KeyError, TypeError):
         if (out / NAME).read_bytes() == content:
             return str(json.loads((out / "croissant.json").read_bytes())["datePublished"])

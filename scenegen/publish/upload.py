@@ -1,5 +1,5 @@
-"""Publish: verify, stage, and send to the Hugging Face Hub: all files, then a look at what arrived,
-and the tag.
+"""Verifies and stages a dataset, and sends it to the Hugging Face Hub: first all files, then the
+tag, once all have arrived.
 """
 
 import re
@@ -18,10 +18,9 @@ OURS = re.compile(
     r"|figures-\w{16}\.npy",
     re.ASCII,
 )
-"""Files that another dataset of ours may have left in the repository; others there are let be."""
+"""Names of files that publish may delete from a repository, where another dataset left them."""
 IN_COMMIT = 250
-"""The most files of a commit, about as many as the Hub's client begins with: the Hub gives up on
-commits that take a minute."""
+"""Maximum files of a commit: the Hub gives up on commits that take a minute."""
 TOKEN = (
     "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; "
     "it is never an argument"
@@ -29,8 +28,11 @@ TOKEN = (
 
 
 def check_token() -> None:
-    """Raise PublishError where the Hub's client finds no token in its usual places, or is not
-    installed."""
+    """Check that the Hub's client is installed and has a token.
+
+    Raises:
+        PublishError: It is not, or has none.
+    """
     try:
         from huggingface_hub import get_token
     except ImportError:
@@ -40,11 +42,21 @@ def check_token() -> None:
 
 
 def upload(staged: Staged, *, private: bool, shown: bool) -> str:
-    """Send the folder and return the commit that the tag names.
+    """Send a folder to the Hub.
 
-    Given again after an interruption it goes on: what the Hub has is not sent. A tag that is there
-    already is left alone, and is in order where it names the same files. `shown`: the client shows
-    its progress. Raises PublishError.
+    Called again after an interruption, it sends only the files that the Hub lacks. A tag that
+    exists is never moved; it is accepted if it names the same files.
+
+    Args:
+        staged: The folder.
+        private: Whether a new repository is private.
+        shown: Whether the Hub's client shows its progress.
+
+    Returns:
+        The commit that the tag names.
+
+    Raises:
+        PublishError: The Hub refuses, or cannot be reached; or the tag has other content.
     """
     from huggingface_hub import HfApi
 
@@ -54,7 +66,7 @@ def upload(staged: Staged, *, private: bool, shown: bool) -> str:
             return _send(api, staged, private)
     except ScenegenError:
         raise
-    except Exception as error:  # whatever the Hub's client or the network beneath it raises
+    except Exception as error:  # any error of the Hub's client or the network
         raise PublishError(_explain(staged, error)) from None
 
 
@@ -64,11 +76,12 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
     api.create_repo(**where, private=private or None, exist_ok=True)
-    about = api.dataset_info(repository)
-    if private and not about.private:
+    info = api.dataset_info(repository)
+    if private and not info.private:
         raise PublishError(
             f"{target}: is there and public; leave --private out, or choose another --repo"
         )
+    # a tag is a promise to those who cite it
     tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(**where).tags}
     if staged.tag in tags:
         if wrong := differences(api, staged, tags[staged.tag]):
@@ -77,15 +90,15 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
                 "another --tag"
             )
         return str(tags[staged.tag])
-    former = [
+    stale = [
         path
         for path in api.list_repo_files(**where)
         if OURS.fullmatch(path) and path not in staged.files
     ]
-    head = about.sha
-    # shards come first: the manifest and the card of a former dataset stand as long as they can
+    head = info.sha
+    # shards first: the manifest and the card of an earlier dataset are replaced last
     names = sorted(
-        [*differences(api, staged, head), *former], key=lambda it: not OURS.fullmatch(it)
+        [*differences(api, staged, head), *stale], key=lambda name: not OURS.fullmatch(name)
     )
     for part in chunked(names, IN_COMMIT):
         operations = [
@@ -99,7 +112,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
             commit_message=f"{staged.tag}: {staged.digest}",
             parent_commit=head,
             **where,
-        ).oid  # refused where another publisher was faster, whose shards would be in the tag, too
+        ).oid  # a parent: the Hub refuses if another publisher's commit came in between
     if wrong := differences(api, staged, head):
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
@@ -109,17 +122,27 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
 
 
 def differences(api: Any, staged: Staged, revision: str) -> list[str]:
-    """Files of the folder that the repository does not have, or has otherwise, at a revision."""
+    """Compare a folder with a repository.
+
+    Args:
+        api: The Hub's client.
+        staged: The folder.
+        revision: Commit of the repository.
+
+    Returns:
+        Names of files that the repository lacks, or has with other content.
+    """
     from huggingface_hub.utils.sha import git_hash
 
     tree = api.list_repo_tree(
         staged.repository, repo_type="dataset", recursive=True, revision=revision
     )
-    there = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
+    entries = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
     sums = read_sums(staged.folder)
 
+    # the Hub has a SHA-256 of large files, and Git's hash of small ones
     def is_there(name: str) -> bool:
-        entry, path = there.get(name), staged.folder / name
+        entry, path = entries.get(name), staged.folder / name
         if entry is None or entry.lfs is None:
             return entry is not None and entry.blob_id == git_hash(path.read_bytes())
         return bool(entry.lfs.sha256 == (sums.get(name) or file_sha256(path)))
@@ -128,7 +151,7 @@ def differences(api: Any, staged: Staged, revision: str) -> list[str]:
 
 
 def _explain(staged: Staged, error: Exception) -> str:
-    """One line on what went wrong, and what to do."""
+    """Return one line for an error: what failed, and what to do."""
     target = f"hf://{staged.repository}"
     status = getattr(getattr(error, "response", None), "status_code", None)
     if status in (401, 403):
@@ -150,14 +173,27 @@ def publish(
     on_staged: Callable[[Staged], None] = lambda staged: None,
     **checking: Any,
 ) -> tuple[Staged, str | None]:
-    """Verify the dataset, put the folder together, and send it unless this is a `dry_run`. Returns
-    the folder, and the commit on the Hub; None after a dry run.
+    """Verify a dataset, make its folder, and send it. No server is contacted before the folder is
+    complete.
 
-    `checking` says how `scenegen.verify` goes about it. No server is contacted before the folder is
-    complete; a dry run contacts none. Raises DatasetError, PublishError.
+    Args:
+        request: The request.
+        dry_run: Only make the folder.
+        private: Whether a new repository is private.
+        shown: Whether the Hub's client shows its progress.
+        on_staged: Called with the folder before it is sent.
+        checking: Further arguments of `scenegen.verify`.
+
+    Returns:
+        The folder, and its commit on the Hub; None after a dry run.
+
+    Raises:
+        DatasetError: The dataset is damaged.
+        PublishError: It fails a check, or cannot be published; or the Hub refuses.
     """
     from scenegen.verification import verify
 
+    # before the samples are verified, which can take hours
     if not dry_run:
         check_token()
     examine(request)
@@ -170,7 +206,9 @@ def publish(
         )
     staged = stage(
         request,
-        tuple((one.name, "not checked, " * one.skipped + one.detail) for one in report.checks),
+        tuple(
+            (check.name, "not checked, " * check.skipped + check.detail) for check in report.checks
+        ),
     )
     on_staged(staged)
     return staged, None if dry_run else upload(staged, private=private, shown=shown)

@@ -1,7 +1,7 @@
-"""What was made, to look at.
+"""Shows samples, worlds and datasets.
 
-`look` reads of a sample what can be shown. A page for a browser is made by `page` and served by
-`live`, and shown in notebooks by `notebook`; pictures by matplotlib are made by `pictures` and
-`figures`, of the parts in `panels`; `inspect` sums datasets up. `exchange` writes other programs'
-formats.
+`look` reads a sample for all the others. `page` makes a page for a browser, and serves it;
+`notebook` shows it in notebooks. `pictures` and `figures` draw by matplotlib, with the parts in
+`panels` and the colours in `canvas`. `glb` writes a world for other viewers, and `inspect`
+summarizes datasets.
 """

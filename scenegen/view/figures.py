@@ -1,6 +1,4 @@
-"""The paper's figures, of samples and of what was predicted of them: one function each, from looks
-to a figure.
-"""
+"""The paper's figures of samples and predictions: one function each, from looks to a figure."""
 
 import dataclasses
 import itertools
@@ -44,20 +42,26 @@ from scenegen.view.panels import (
 )
 
 STEEP = View(elevation=math.radians(50))
-"""From higher above, so that fewer things hide a path."""
+"""A view from higher above, in which less hides a path."""
 DASHES: tuple[Any, ...] = ((0, (6, 1.5)), (0, (2, 1.2)), "-", (0, (8, 1.5, 1.5, 1.5)))
-"""Of paths, in turn, for readers who cannot tell the colours apart."""
+"""Dashes of paths, in turn, for readers who cannot tell the colours apart."""
 
 
 def draw_completions(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws a row for each sample: its scan, the truth, and each method's prediction with its IoU,
-    and what it missed and invented in colours of their own; under a single sample, the distances at
-    the sensor's height. (The paper's comparison.)
+    """Draw a row for each sample: its scan, its truth, and each method's prediction with its IoU
+    and its errors in colours. A single sample has a second row: distances at the sensor's height.
+    (The paper's comparison of completions.)
 
-    `width` is that of the figure, inches. Raises DatasetError where nothing is predicted.
+    Args:
+        looks: The samples, with predictions.
+        title: Title of the figure.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: Nothing is predicted, or the figure is too narrow.
     """
     names = ("scan", "truth", *methods_of(looks))
-    alone = len(looks) == 1
+    is_single = len(looks) == 1
     errors = (
         (MISSED, f"missed by {DEEP} or more voxels"),
         (_pale(MISSED), "missed by one"),
@@ -65,9 +69,9 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
         (_pale(INVENTED), "invented, one off"),
     )
     handles = [ball("sensor"), *(Patch(color=rgb(shade), label=text) for shade, text in errors)]
-    grid = Grid(len(looks) + alone, len(names), title, handles, width=width)
+    grid = Grid(len(looks) + is_single, len(names), title, handles, width=width)
     grid.name(names, [look.name for look in looks])
-    ticks = alone and not width
+    ticks = is_single and not width  # several panels are too small for them, and so is print
     for row, look in enumerate(looks):
         for panel, mask in zip(grid.panels[row], ("points", "occupancy"), strict=False):
             draw_panel(panel, look, mask, "", ticks=ticks)
@@ -76,10 +80,10 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
             frame_box(panel, *look.corners, ticks=ticks)
             draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
             put_note(panel, look.iou(guess))
-    if alone:
+    if is_single:
         _draw_levels(grid, 1, names, looks[0], "")
         grid.bar_of_distances(looks[0], row=1)
-    grid.bar_of_heights(looks, row=0 if alone else None)
+    grid.bar_of_heights(looks, row=0 if is_single else None)
     return grid.figure
 
 
@@ -88,8 +92,16 @@ def _pale(deep: Rgb) -> Any:
 
 
 def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws a row for each sample: the true distances at the sensor's height, and each method's.
-    Raises DatasetError where nothing is predicted."""
+    """Draw a row for each sample: true distances at the sensor's height, and each method's.
+
+    Args:
+        looks: The samples, with predictions.
+        title: Title of the figure.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: Nothing is predicted, or the figure is too narrow.
+    """
     names = ["truth", *methods_of(looks)]
     grid = Grid(len(looks), len(names), title, [ball("sensor")], width=width)
     grid.name(names, [])
@@ -100,8 +112,8 @@ def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = N
 
 
 def _draw_levels(grid: Grid, row: int, names: Sequence[str], look: Look, before: str) -> None:
-    """Draws the true distances at the sensor's height, and each method's, in the columns of their
-    names; the row's name is `before` and that height."""
+    """Draw a row of distances at the sensor's height, the true ones and each method's, in the
+    columns that `names` lists. The row's name is `before` and that height."""
     level = at_sensor(look)
     grid.name_row(row, f"{before}z = {height_of(look, level):.2f} m")
     for name, tudf in {
@@ -112,10 +124,19 @@ def _draw_levels(grid: Grid, row: int, names: Sequence[str], look: Look, before:
 
 
 def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws a panel for each sample: every method's path in the truth, which it may meet. (The
-    paper's comparison of paths.) Raises DatasetError where none was planned."""
+    """Draw a panel for each sample: each method's path through the truth, and where it collides.
+    (The paper's comparison of paths.)
+
+    Args:
+        looks: The samples, with predictions and paths.
+        title: Title of the figure.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: No path was planned, or the figure is too narrow.
+    """
     names = methods_of(looks, paths=True)
-    columns = across(min(len(looks), 3), width)
+    columns = across(min(len(looks), 3), width)  # paths need larger panels than voxels
     scale = 1.45 if columns < 3 else 1.2
     handles = _path_legend(names)
     grid = Grid(math.ceil(len(looks) / columns), columns, title, handles, scale=scale, width=width)
@@ -128,8 +149,17 @@ def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None)
 
 
 def draw_example(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws a row for each sample: each method's prediction with its path, and last all paths in
-    the truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
+    """Draw a row for each sample: each method's prediction with its path, and last all paths in the
+    truth. (The paper's first figure.)
+
+    Args:
+        looks: The samples, with predictions and paths.
+        title: Title of the figure.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: No path was planned, or the figure is too narrow.
+    """
     names = methods_of(looks, paths=True)
     grid = Grid(len(looks), 1 + len(names), title, _path_legend(names), width=width)
     grid.name((*names, "truth"), [look.name for look in looks])
@@ -137,6 +167,7 @@ def draw_example(looks: Sequence[Look], *, title: str, width: float | None = Non
         for guess in look.guesses:
             panel = grid.panels[row, names.index(guess.name)]
             masks = {**look.masks, "occupancy": guess.occupied}
+            # a path that collides is free in its own prediction: no hits here
             believed = dataclasses.replace(look, masks=masks)
             _draw_paths_in(panel, believed, (guess,), names, ticks=False, hits=False)
             put_note(panel, look.iou(guess))
@@ -151,19 +182,26 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "paths": draw_paths,
     "example": draw_example,
 }
-"""By name."""
+"""Figures by the names that `render --figure` takes."""
 
 
 def methods_of(looks: Sequence[Look], *, paths: bool = False) -> list[str]:
-    """Who predicts, in order. Raises DatasetError where nobody does, or, with `paths`, no path was
-    planned."""
+    """Return the names of all methods that predict, in order.
+
+    Args:
+        looks: The samples.
+        paths: Count only predictions on which a path was planned.
+
+    Raises:
+        DatasetError: There are none.
+    """
     guesses = [
         guess for look in looks for guess in look.guesses if guess.route is not None or not paths
     ]
     if not guesses:
-        what = "no path is planned on what is predicted" if paths else "nothing is predicted"
+        fault = "no path is planned on what is predicted" if paths else "nothing is predicted"
         raise DatasetError(
-            f"{looks[0].name}: {what}; give --weights or --predictions, and a --trial that there is"
+            f"{looks[0].name}: {fault}; give --weights or --predictions, and an existing --trial"
         )
     return list(dict.fromkeys(guess.name for guess in guesses))
 
@@ -177,7 +215,7 @@ def _draw_paths_in(
     ticks: bool,
     hits: bool = True,
 ) -> None:
-    """Draws the occupied voxels with the paths of `guesses` before them, and where they hit."""
+    """Draw occupied voxels, in front of them the paths of `guesses`, and where these collide."""
     view = VIEW if ticks else STEEP
     frame_box(panel, *look.corners, ticks=ticks, view=view)
     draw_voxels(panel, look, look.masks.get("occupancy"), view=view)
@@ -189,7 +227,7 @@ def _draw_paths_in(
             at = view.project(place)
             put_ball(panel, at, size=90, color=rgb(end), order=9, marker=mark)
         if route.points is not None:
-            # the first is the widest, so that paths that coincide show all the same
+            # earlier paths are wider, so that all of several coinciding paths can be seen
             width = 2.0 + 3.0 * (len(guesses) - 1 - n) / max(len(names) - 1, 1)
             halo = [Stroke(linewidth=width + 2, foreground="white"), Normal()] if n == 0 else None
             places = view.project(route.points).T
@@ -209,6 +247,6 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
 
 
 def _path_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and dashes of each method's path."""
+    """Return colour and dashes of each method's path, by name."""
     styles = zip(names, path_colours(names), itertools.cycle(DASHES), strict=False)
     return {name: {"color": rgb(shade), "linestyle": dashes} for name, shade, dashes in styles}

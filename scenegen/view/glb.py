@@ -12,18 +12,19 @@ from scenegen.worlds.scene import UPRIGHT
 from scenegen.worlds.world import World
 
 SIDES = 32
-"""How many sides round solids have around their axis."""
+"""Sides of round solids around their axis."""
 THICK_M = 0.01
-"""How far a plane goes down, metres: it has no thickness of its own."""
+"""Depth of a plane below its surface, metres; viewers hide the back of a flat one."""
 
 
 def encode_world(world: World) -> bytes:
-    """The content of the file. Corners of round solids lie on them; planes end at the flight's
-    box."""
+    """Return a world as the content of a GLB file. Vertices of round solids lie on the true
+    surface; planes, which are infinite, end beyond the flight bounds."""
     scene = trimesh.Scene()
     colours = (255 * world.model.geom_rgba).astype(np.uint8)
     for n, (mesh, geom) in enumerate(zip(surfaces(world), world.solids.geom, strict=True)):
         mesh.visual.face_colors = colours[geom]
+        # glTF has y upwards
         scene.add_geometry(
             mesh, node_name=f"solid {n}", geom_name=f"solid {n}", transform=UPRIGHT.T
         )
@@ -31,7 +32,7 @@ def encode_world(world: World) -> bytes:
 
 
 def surfaces(world: World) -> list[Any]:
-    """A trimesh for each solid of a world, in the world's frame, metres."""
+    """Return a trimesh for each solid of a world, in the world's frame, metres."""
     solids = world.solids
     reach = 2 * float(np.abs(world.flight_bounds).max())  # of a plane, which has no end
     meshes: list[Any] = []
@@ -49,7 +50,7 @@ def surfaces(world: World) -> list[Any]:
 
 
 def _surface(shape: int, size: Floats, reach: float) -> Any:
-    """A solid around its middle, from MuJoCo's sizes."""
+    """Return the mesh of a solid around its centre, from MuJoCo's sizes."""
     make = trimesh.creation
     if shape == PLANE:
         lid = make.box((2 * reach, 2 * reach, THICK_M))

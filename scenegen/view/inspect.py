@@ -1,6 +1,4 @@
-"""What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what
-does not fit.
-"""
+"""Summarizes datasets, folders of datasets, worlds and scans: counts, sizes, statistics."""
 
 import json
 from collections.abc import Iterable
@@ -34,52 +32,53 @@ from scenegen.dataset.selection import (
 from scenegen.view.look import evenly
 from scenegen.worlds.clouds import read_cloud
 
-MOST_MEASURED = 200
-"""Samples of a split that are measured, unless all are."""
-MOST_BEYOND = 0.4
-"""The share of a map beyond its sensor's range from which on it is told; of the presets' maps it is
-0.06."""
+MAX_MEASURED = 200
+"""Samples of a split that are measured by default."""
+MAX_BEYOND = 0.4
+"""Share of a map beyond its sensor's range above which `misfits` warns; presets have 0.06."""
 
 
 def inspect(
     dataset: AnyDataset,
     *,
-    most: int | None = MOST_MEASURED,
+    most: int | None = MAX_MEASURED,
     keep: bool = False,
     workers: int = 1,
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> Json:
-    """Sums a dataset up.
+    """Summarize a dataset.
 
     Args:
-        dataset: The dataset, the collection or the selection.
-        most: Samples of a split that are measured, evenly spread; None for all. All count where
-            their measures are kept beside them.
-        keep: Measure all, and keep their measures there, see `measures_file`, and the `splits` that
-            are returned, as JSON.
+        dataset: A dataset, a collection or a selection.
+        most: Maximum samples of a split to measure, evenly spread; None for all. Ignored if the
+            dataset's measures are stored beside it.
+        keep: Measure all samples, and store beside the dataset their measures, see `measures_file`,
+            and the returned `splits` as JSON.
         workers: Processes that measure.
-        on_start: Called with the number of samples that are measured, once processes run.
-        on_done: Called with 1 for each.
+        on_start: Called with the number of samples to measure, once processes run.
+        on_done: Called with 1 after each sample.
 
     Returns:
-        Plain JSON values. Statistics are {mean, std, min, max} over samples of shares of all voxels
-        or of all rays, and of metres; None where no sample has the measure. A split has those of
-        each of several kinds, too, in `kinds`, and, where all are measured, those of the means over
-        the maps of a world in `world_means`.
+        Plain JSON values. Statistics are {mean, std, min, max} over samples, of shares of all
+        voxels or rays, or of metres; None if no sample has the measure. A split of several kinds
+        has them for each in `kinds`; a split measured completely has in `world_means` those of the
+        means over the samples of a world.
 
     Raises:
-        DatasetError: The folder holds no dataset, or a damaged one.
+        DatasetError: A sample or a manifest is damaged; or `keep` for anything but one complete
+            dataset.
     """
-    datasets = [_facts(one) for one in dataset.datasets]
-    first, *others = datasets
-    summary = first if not others else {"datasets": datasets, "digest": dataset.digest}
+    datasets = [_facts(part) for part in dataset.datasets]
+    first, *further = datasets
+    summary = first if not further else {"datasets": datasets, "digest": dataset.digest}
     if keep and not isinstance(dataset, Dataset):
         raise DatasetError(
-            f"{dataset.name}: measures are kept beside one dataset; inspect each of its datasets"
+            f"{dataset.name}: measures are stored beside one dataset; inspect each of its datasets"
         )
     if keep and not dataset.datasets[0].manifest.complete:
         raise DatasetError(f"{dataset.name}: incomplete; give the command that made it again")
+    # without stored measures, measure some samples of each split
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
@@ -96,11 +95,11 @@ def inspect(
             measures_file(dataset.datasets[0]),
             encode_measures(np.concatenate(list(tables.values()))),
         )
-    about_splits = {split.name: _about(split, tables[split.name]) for split in splits}
+    about_splits = {split.name: _split_facts(split, tables[split.name]) for split in splits}
     if keep:
         content = json.dumps(about_splits, indent=1).encode()
         write_whole(measures_file(dataset.datasets[0]).with_suffix(".json"), content)
-    size = sum(bytes_in(one.folder) for one in dataset.datasets)
+    size = sum(bytes_in(part.folder) for part in dataset.datasets)
     samples = sum(map(len, splits))
     return {
         **summary,
@@ -112,12 +111,13 @@ def inspect(
 
 
 def inspect_path(path: Path) -> Json:
-    """`inspect` of a dataset, a collection or a selection. Raises DatasetError."""
+    """Summarize the dataset, collection or selection at a path, see `inspect`. Raises
+    DatasetError."""
     return inspect(open_data(path, partial=True))
 
 
 def _facts(dataset: Dataset) -> Json:
-    """What the manifest of a dataset says of it."""
+    """Return facts of a dataset from its manifest."""
     manifest = dataset.manifest
     return {
         "name": dataset.name,
@@ -135,33 +135,34 @@ def _facts(dataset: Dataset) -> Json:
     }
 
 
-def _about(split: Split, table: Floats) -> Json:
-    """The size of a split, and how the `MEASURES` of its samples (samples, measures) spread."""
-    about = {
+def _split_facts(split: Split, table: Floats) -> Json:
+    """Return the size of a split, and statistics of its measures (samples, measures)."""
+    row = {
         "samples": len(split),
         "worlds": split.count_worlds(),
         "sampled": len(table),
         "statistics": _statistics(table),
     }
+    # a world's mean takes all of its samples
     if len(table) == len(split):
         first_of_world = np.unique(split.numbers[0], return_index=True)[1]
         means = [measure_of(split, table, OF_WORLD + name)[first_of_world] for name in MEASURES]
-        about["world_means"] = _statistics(np.transpose(means))
-    if len({one.kind for one in split.dataset.datasets}) > 1:
-        about["kinds"] = _by_kind(split, table)
-    return about
+        row["world_means"] = _statistics(np.transpose(means))
+    if len({part.kind for part in split.dataset.datasets}) > 1:
+        row["kinds"] = _by_kind(split, table)
+    return row
 
 
 def _measure(dataset: AnyDataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
-    """The split of a task, its row among those that are measured, and the measures of its sample;
-    NaN where that lacks one."""
+    """Measure the sample of a task (split, row, index). Return split, row and measures; NaN for a
+    measure that the sample lacks."""
     split, row, index = task
     sample = dataset.split(split)[index]
     return split, row, [measure(sample) for measure in MEASURES.values()]
 
 
 def _statistics(table: Floats) -> Json:
-    """How the `MEASURES` of samples (samples, measures) spread."""
+    """Return statistics of measures (samples, measures), by the names of `MEASURES`."""
     statistics: Json = {}
     for name, column in zip(MEASURES, table.T, strict=True):
         values = column[~np.isnan(column)]
@@ -173,7 +174,8 @@ def _statistics(table: Floats) -> Json:
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
-    """For each kind, how many samples were measured, and how their measures spread."""
+    """Return for each kind how many samples were measured, and their statistics."""
+    # rows of the table are those samples that `inspect` chose by the same call
     chosen = evenly(len(split), len(table))
     rows = {kind: table[np.isin(chosen, numbers)] for kind, numbers in split.by_kind().items()}
     return {
@@ -184,7 +186,7 @@ def _by_kind(split: Split, table: Floats) -> Json:
 
 
 def _counts(shards: Iterable[ShardEntry]) -> dict[str, int]:
-    """Samples of each split."""
+    """Return the number of samples of each split."""
     counts = dict.fromkeys(SPLITS, 0)
     for shard in shards:
         counts[shard.split] += shard.samples
@@ -192,8 +194,8 @@ def _counts(shards: Iterable[ShardEntry]) -> dict[str, int]:
 
 
 def inspect_all(folder: Path) -> list[Json]:
-    """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
-    digest, or its `fault`."""
+    """Return a row for each dataset in the folders of a folder: its `folder`, and its kind, samples
+    and digest, or the `fault` of a dataset that cannot be read."""
     rows = []
     for path in sorted(folder.glob(f"*/{NAME}")):
         row: Json = {"folder": str(path.parent)}
@@ -205,6 +207,7 @@ def inspect_all(folder: Path) -> list[Json]:
                 "digest": manifest.digest,
                 "samples": _counts(manifest.shards),
             }
+        # one damaged dataset must not hide the others
         except DatasetError as error:
             row["fault"] = printable(error)
         rows.append(row)
@@ -212,9 +215,9 @@ def inspect_all(folder: Path) -> list[Json]:
 
 
 def inspect_world(path: Path) -> Json:
-    """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
-    SceneError for a file that cannot serve."""
-    from scenegen.draw.source import read_world  # which loads what compiles worlds
+    """Return the solids and bounds of a world in an MJCF file, or facts of a map of a real place.
+    Raises SceneError if the file cannot be read as either."""
+    from scenegen.draw.source import read_world  # loads MuJoCo
     from scenegen.worlds.drawing import SHAPES
     from scenegen.worlds.place import Place
 
@@ -235,7 +238,7 @@ def inspect_world(path: Path) -> Json:
 
 
 def map_facts(voxels: VoxelMap) -> Json:
-    """How large a map of a real place is, and which shares of its voxels are known."""
+    """Return size and bounds of a map of a real place, and the shares of its states."""
     states = ("unknown", "free", "occupied")  # UNKNOWN, FREE and OCCUPIED, by number
     return {
         "voxel_m": voxels.voxel_m,
@@ -246,8 +249,15 @@ def map_facts(voxels: VoxelMap) -> Json:
 
 
 def scan_facts(path: Path, columns: int | None = None) -> Json:
-    """A file of points: what it holds, how many, how far they reach, and how far away they are from
-    its origin, see `read_cloud`. Raises DatasetError."""
+    """Return facts of a file of points: how it was read, counts, bounds and ranges.
+
+    Args:
+        path: The file.
+        columns: Columns of a file without a header, see `read_cloud`.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
     cloud = read_cloud(path, columns=columns)
     points = cloud.points
     returned = points[np.isfinite(points).all(axis=1)]
@@ -265,15 +275,23 @@ def scan_facts(path: Path, columns: int | None = None) -> Json:
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
-    """Warnings, a line each: how much of a map lies beyond its sensor's range."""
+    """Check that a map fits its sensor.
+
+    Args:
+        grid: The map, with the sensor at its centre.
+        lidar: The sensor.
+
+    Returns:
+        Warnings, a line each: if much of the map is beyond the sensor's range.
+    """
     edges = [np.linspace(-extent / 2, extent / 2, 41) for extent in grid.extent_m]
     x, y, z = np.meshgrid(*edges, indexing="ij", sparse=True)
-    beyond = float((x * x + y * y + z * z > lidar.max_range_m**2).mean())
-    if beyond <= MOST_BEYOND:
+    share = float((x * x + y * y + z * z > lidar.max_range_m**2).mean())
+    if share <= MAX_BEYOND:
         return []
     return [
-        f"{100 * beyond:.0f} % of the map lie beyond the sensor's {lidar.max_range_m:g} m: "
-        f"nothing is ever seen there; take a smaller grid, or a sensor that sees farther"
+        f"{100 * share:.0f} % of the map lie beyond the sensor's {lidar.max_range_m:g} m: "
+        f"nothing is ever seen there; take a smaller grid, or a sensor of longer range"
     ]
 
 
@@ -293,4 +311,4 @@ TITLES = {
     "traversability": ("mean way to an obstacle", "robot diameters"),
     "gap": ("mean width of passages", "robot diameters"),
 }
-"""Statistics of a sample: what they are called, and their unit; shares are told in %."""
+"""Names and units of the measures, for people; shares are shown in %."""

@@ -1,4 +1,4 @@
-"""Samples with predictions and paths, or a file, as a page in a notebook, a file, or a browser."""
+"""Shows samples with predictions and paths, or a file, in a notebook, a file, or a browser."""
 
 import base64
 import html
@@ -25,26 +25,26 @@ from scenegen.view.look import Guess, Look, Route, look_at
 from scenegen.view.page import page
 
 TALL = 620
-"""Height of a page in a notebook, pixels."""
+"""Height of the page in a notebook, pixels."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shown:
-    """What `show` shows; a notebook shows it as the last value of a cell."""
+    """The result of `show`, which notebooks display as the value of a cell."""
 
     html: str
-    """The page."""
+    """Content of the page."""
     looks: Sequence[Look]
-    """The samples on it; none of a picture."""
+    """Samples on the page; empty for a picture."""
     draw: Callable[[], Any]
-    """Draws a figure of the first of them."""
+    """Function that draws the first sample by matplotlib."""
 
     def __repr__(self) -> str:
         return f"<Shown: {', '.join(look.name for look in self.looks) or 'a picture'}>"
 
     def _repr_html_(self) -> str:
-        """The page in a frame; below it a picture of the first sample, which is what one sees where
-        frames or scripts are not to be had, as on GitHub."""
+        """Return the page in a frame, in front of a picture of the first sample. The picture shows
+        wherever frames or scripts are blocked, as on GitHub."""
         if importlib.util.find_spec("matplotlib") is None:
             below = "<p>A picture where no scripts run needs matplotlib: the extra view.</p>"
         else:
@@ -57,7 +57,7 @@ class Shown:
 
 
 def picture(figure: Any) -> str:
-    """A figure as an element of a page."""
+    """Return a figure as an HTML element."""
     from scenegen.view.panels import to_bytes
 
     content = base64.b64encode(to_bytes(figure, ".webp")).decode()
@@ -83,25 +83,28 @@ def show(
     grid: GridSpec | None = None,
     lidar: Sensor | None = None,
 ) -> Shown:
-    """Show samples in three dimensions, and what was predicted of the first of them; or a path.
+    """Show samples in three dimensions, with predictions and a path for the first of them.
 
-    In a notebook the page shows as the value of its cell; elsewhere it is opened in a browser, or
-    written to the file `out`.
+    A notebook displays the returned value. Elsewhere the page opens in a browser, or is written to
+    `out`.
 
     Args:
-        samples: One sample, or several; or the path of a dataset, of which some samples are shown,
-            of the completion of a scan, or of anything that `scenegen render` draws, as a picture.
-        prediction: What is predicted of the first sample: a `scenegen.Prediction`, or a bool array
-            of occupied voxels; or several of them by the name of who predicts.
-        path: Points (n, 3) of a path planned on the first of the predictions, or on the truth,
-            metres in the world.
-        out: The page's file.
-        grid: The map's grid. A dataset's sample knows its own; others need it.
-        lidar: The sensor. A dataset's or a stream's sample knows its own.
+        samples: A sample, or several; or a path: of a dataset, of a completed scan, or of anything
+            that `scenegen render` draws.
+        prediction: Prediction for the first sample: a `scenegen.Prediction`, or a bool array of
+            occupied voxels, of the grid's shape; or a dictionary of these by the name of a method.
+        path: Points (n, 3) of a path planned on the first prediction, or on the truth, metres in
+            the world.
+        out: File for the page.
+        grid: Grid of the map; needed for samples that are not of a dataset.
+        lidar: The sensor; needed for samples that are not of a dataset or stream.
+
+    Returns:
+        The page, its samples, and a function that draws the first.
 
     Raises:
         DatasetError: The grid is not known, or too large for a page; a prediction or path does not
-            fit the map; a path is not known, or cannot be shown; or `out` is not ours to replace.
+            fit the map; a file does not exist, or cannot be shown; or `out` may not be replaced.
         TypeError: The sensor is not known.
     """
     if isinstance(samples, str | os.PathLike):
@@ -130,34 +133,37 @@ def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:
 
 
 def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
-    """A sample with what is predicted of it; for the arguments see `show`."""
+    """Add predictions and a path to a sample; for the arguments see `show`."""
     predictions: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
         predictions = prediction or {}
+    # a page draws paths on a prediction: for a path alone, the truth is one
     if path is not None and not predictions:
         predictions = {"truth": look.masks["occupancy"]}
-    if clashing := predictions.keys() & look.masks.keys():  # a name is one layer
-        raise DatasetError(f"prediction: {', '.join(clashing)}: a sample's own; give another name")
+    if clashing := predictions.keys() & look.masks.keys():  # a page has one layer a name
+        raise DatasetError(
+            f"prediction: {', '.join(clashing)}: is a layer of the sample; give another name"
+        )
     guesses = [_guess(name, predicted, look.grid) for name, predicted in predictions.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
     return replace(look, guesses=(*look.guesses, *guesses))
 
 
-def _open(shown: Shown, out: str | Path | None) -> Shown:
+def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
-        write_result(Path(out), shown.html.encode())
-    elif "ipykernel" not in sys.modules:
+        write_result(Path(out), result.html.encode())
+    elif "ipykernel" not in sys.modules:  # not within a notebook
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
-            file.write(shown.html.encode())
+            file.write(result.html.encode())
         webbrowser.open(Path(file.name).as_uri())
-    return shown
+    return result
 
 
 def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
-    """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
-    paper's."""
+    """Check a prediction, or occupied voxels, and make a `Guess`. A prediction is thresholded as in
+    the paper."""
     is_prediction = hasattr(predicted, "occupied")
     arrays = [predicted.occupancy_probability, predicted.tudf] if is_prediction else []
     if not all(np.isfinite(array).all() for array in arrays if array is not None):
@@ -168,13 +174,14 @@ def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
             f"{name}: an array {occupied.dtype} {occupied.shape}; expected occupied voxels, bool "
             f"{grid.shape}, or a scenegen.Prediction of this map"
         )
-    from scenegen.truth import distance_field  # which compiles
+    from scenegen.truth import distance_field  # compiles: not for those who only show samples
 
     tudf = predicted.distance(None, grid) if is_prediction else distance_field(occupied, grid)
     return Guess(name=name, occupied=occupied, tudf=tudf)
 
 
 def _route(path: Any) -> Route:
+    """Check the points of a path, and make a `Route`."""
     points = np.asarray(path, float)
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")

@@ -1,9 +1,9 @@
-"""The page to look at samples with: a file that holds all that it shows, or what a server on this
-machine shows of whole datasets, whose samples are read as one steps through them.
+"""The page that shows samples: a file that holds its samples, or a page from a server on this
+machine, which reads samples of datasets as the user asks for them.
 
-``GET /`` is the page; ``GET /sample/<dataset>/<split>/<index>`` a sample, JSON as `packed` has it,
-of the dataset of that number; ``GET /world/…`` the world that it is of, where its shard's archive
-holds it. There is nothing else, and nothing changes.
+The server answers ``GET /`` with the page, ``GET /sample/<dataset>/<split>/<index>`` with a sample
+as JSON, see `packed`, of the dataset with that number, and ``GET /world/…`` with the sample's
+world, if the shard's archive has it. It has no other address, and changes nothing.
 """
 
 import base64
@@ -37,19 +37,30 @@ from scenegen.view.canvas import ON_PAGE, path_colours
 from scenegen.view.look import MASKS, Guess, Guesses, Look, incomplete, look_into, title_of
 
 MOST_VOXELS = 1 << 22
-"""The most voxels of a grid on a page: a browser turns this many into cubes in seconds."""
+"""Maximum voxels of a grid on a page: a browser needs seconds to make so many cubes."""
 MOST_BYTES = 48 << 20
-"""The most bytes of a page's samples; mail and telephones take no more."""
+"""Maximum bytes of a page's samples; mail programs and phones refuse larger files."""
 HERE = files("scenegen.view")
+"""Folder of the page's template and scripts."""
 
 
 def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str:
-    """The page of `looks`, none of whose names and texts is ever taken for HTML or for a script.
+    """Make a page that holds its samples. Names and texts are escaped, and never run as scripts.
 
     Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation;
-    points are int16 from the sensor, 32767 for the farthest, and the first `own` of them are of the
-    sample's own scan; all of it gzip in base64. Raises DatasetError for grids that no browser
-    takes.
+    points are int16 from the sensor, 32767 for the farthest coordinate, and the first `own` of them
+    are of the sample's own scan. Each array is base64 of gzip.
+
+    Args:
+        looks: The samples.
+        title: Title of the page.
+        notes: Lines for the user.
+
+    Returns:
+        The content of the page, with a note if samples were left out for its size.
+
+    Raises:
+        DatasetError: A grid has more than `MOST_VOXELS`.
     """
     samples: list[Json] = []
     notes, size = list(notes), 0
@@ -63,31 +74,34 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
             )
             break
         samples.append(sample)
+    # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
     return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)
 
 
 def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequence[str]) -> str:
-    """The page of samples that are fetched from its own server one by one,
-    ``sample/<dataset>/<split>/<index>`` as `packed` has them; datasets are numbered.
+    """Make the page of the server, which fetches samples one by one.
 
-    `datasets` says of each its `name` and how many samples it has of which `splits`, `split` and
-    `index` which of the first is shown first, `methods` who predicts.
+    Args:
+        datasets: Each with its `name`, and `splits`: number of samples by the split's name.
+        split: Split of the first dataset that is shown first.
+        index: Index of the sample that is shown first.
+        methods: Names of the methods that predict.
     """
     live = {"datasets": datasets, "split": split, "index": index}
     title = datasets[0]["name"]
-    about = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
-    return _filled(about, methods, "; connect-src 'self'")
+    content = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
+    return _filled(content, methods, "; connect-src 'self'")
 
 
-def _filled(about: Json, methods: Sequence[str], policy: str = "") -> str:
-    """The page with what its script reads, and what its policy allows besides."""
+def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
+    """Fill the template with the script's data; `policy` extends the content security policy."""
     colours = list(zip(methods, path_colours(methods), strict=True))
-    # JSON all the same, and no tag can end the element that holds it
-    data = json.dumps({"colours": ON_PAGE, "methods": colours, **about}).replace("<", "\\u003c")
+    # still JSON, but no text in it can end the <script> element that holds it
+    data = json.dumps({"colours": ON_PAGE, "methods": colours, **content}).replace("<", "\\u003c")
     parts = {
-        "TITLE": html.escape(about["title"]),
+        "TITLE": html.escape(content["title"]),
         "POLICY": policy,
         "LICENCE": html.escape(_text("three/LICENSE")).replace("--", "- -"),
         "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
@@ -96,13 +110,17 @@ def _filled(about: Json, methods: Sequence[str], policy: str = "") -> str:
         "SCRIPT": _text("page.js"),
         "DATA": data,
     }
-    # text, a part's name, text, …: so no part is looked at for names
+    # split once, so that names of parts within the data are not replaced
     pieces = _text("page.html").split("%%")
     return "".join(parts[piece] if n % 2 else piece for n, piece in enumerate(pieces))
 
 
 def check_grid(grid: GridSpec) -> None:
-    """Raise DatasetError for a grid that no browser takes."""
+    """Check that a browser can show a grid.
+
+    Raises:
+        DatasetError: It has more than `MOST_VOXELS`.
+    """
     if (voxels := math.prod(grid.shape)) > MOST_VOXELS:
         raise DatasetError(
             f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render"
@@ -110,18 +128,19 @@ def check_grid(grid: GridSpec) -> None:
 
 
 def packed(look: Look) -> Json:
-    """A sample as the page's script reads it; see `page`."""
-    grid, more = look.grid, dict[str, Any]()
+    """Encode a sample for the page's script, see `page`."""
+    grid, optional = look.grid, dict[str, Any]()
     if look.tudf is not None:
-        more["tudf"] = _distances(look.tudf, grid)
+        optional["tudf"] = _distances(look.tudf, grid)
     for name, mask in (("scored", look.scored), ("certain", look.certain)):
         if mask is not None and not mask.all():
-            more[name] = _bits(mask)
+            optional[name] = _bits(mask)
     if look.points is not None:
+        # from the sensor, so that 16 bits resolve a scan of 100 m to 3 mm
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
-        more |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
+        optional |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
     return {
         "name": look.name,
         "shape": list(grid.shape),
@@ -134,14 +153,20 @@ def packed(look: Look) -> Json:
         "missing": list(look.missing),
         "masks": {name: _bits(mask) for name, mask in look.masks.items()},
         "guesses": [_packed_guess(guess, look) for guess in look.guesses],
-        **more,
+        **optional,
     }
 
 
 def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
-    """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
-    them: the corners of all triangles, one after the other, in the frame of the map at `origin`
-    (3,)."""
+    """Encode the surfaces of a world for the page's script.
+
+    Args:
+        surfaces: Meshes with `triangles` (n, 3, 3), metres in the world.
+        origin: Lower corner of the sample's map (3,), metres in the world.
+
+    Returns:
+        Corners of all triangles, one after the other, in the frame of the map.
+    """
     corners = (
         np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
     )
@@ -149,18 +174,18 @@ def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
 
 
 def _packed_guess(guess: Guess, look: Look) -> Json:
-    """What is predicted, as the page's script reads it; positions in the map's frame."""
+    """Encode a prediction for the page's script; positions are in the frame of the map."""
 
     def local(points: Floats | None) -> Any:
         return None if points is None else np.round(points - look.origin, 4).tolist()
 
-    found: Json = {"name": guess.name, "mask": _bits(guess.occupied)}
+    entry: Json = {"name": guess.name, "mask": _bits(guess.occupied)}
     if guess.tudf is not None:
-        found["tudf"] = _distances(guess.tudf, look.grid)
+        entry["tudf"] = _distances(guess.tudf, look.grid)
     if (route := guess.route) is not None:
         ends = {"start": local(route.start), "goal": local(route.goal), "hit": local(route.hit)}
-        found["route"] = {**ends, "points": local(route.points) or []}
-    return found
+        entry["route"] = {**ends, "points": local(route.points) or []}
+    return entry
 
 
 def _bits(mask: Mask) -> str:
@@ -168,6 +193,7 @@ def _bits(mask: Mask) -> str:
 
 
 def _distances(tudf: Field, grid: GridSpec) -> str:
+    # damaged distances may be NaN, which has no byte
     shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 
@@ -177,13 +203,14 @@ def _text(name: str) -> str:
 
 
 def _gzip64(content: bytes) -> str:
+    # without the time of compression: the same samples give the same page
     return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
 
 
-ASKED = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
+REQUEST = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
 IDLE_S = 30.0
-"""How long a connection may say nothing, seconds."""
+"""Time after which an idle connection is closed, seconds."""
 SAFE = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -191,17 +218,11 @@ SAFE = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Headers of every answer: no other site frames or reads it."""
+"""Headers of every answer, so that no other site can frame or read it."""
 
 
 class Live(ThreadingHTTPServer):
-    """The server of some datasets.
-
-    `host` is an IP address or `localhost`; port 0 is any that is free. `guesses` predicts samples
-    as they are shown, by the methods called `methods`. The page begins with sample `index` of a
-    `split` of the first dataset. Raises ScenegenError where the address cannot be had, DatasetError
-    for a grid that no browser takes.
-    """
+    """The server of a page for datasets."""
 
     timeout = 0.5
     request_queue_size = 64
@@ -217,13 +238,30 @@ class Live(ThreadingHTTPServer):
         guesses: Guesses | None = None,
         methods: tuple[str, ...] = (),
     ):
+        """Listen, and prepare the page.
+
+        Args:
+            datasets: The datasets.
+            split: Split of the first dataset that is shown first.
+            index: Index of the sample that is shown first.
+            host: An IP address, or `localhost`.
+            port: The port; 0 for any free one.
+            guesses: Function that predicts samples when they are shown, or None.
+            methods: Names of the methods that predict.
+
+        Raises:
+            DatasetError: A grid is too large for a browser.
+            ScenegenError: The address is not one of this machine, or is in use.
+        """
         for dataset in datasets:
             check_grid(dataset.grid)
         self.datasets, self.guesses, self._reading = datasets, guesses, threading.Lock()
         counts = [
             {
                 "name": title_of(dataset),
-                "splits": {name: len(found) for name in SPLITS if (found := dataset.split(name))},
+                "splits": {
+                    name: len(samples) for name in SPLITS if (samples := dataset.split(name))
+                },
             }
             for dataset in datasets
         ]
@@ -236,7 +274,7 @@ class Live(ThreadingHTTPServer):
             ) from None
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
         self.on_loopback = place.is_loopback
-        """Whether other machines cannot reach it."""
+        """Whether only this machine can reach it."""
         try:
             super().__init__((str(place), port), _Handler)
         except OSError as error:
@@ -244,32 +282,37 @@ class Live(ThreadingHTTPServer):
                 f"{host}, port {port}: cannot be served on ({error.strerror or error}); give "
                 "another --port, or 0"
             ) from None
-        shown = f"[{place}]" if place.version == 6 else str(place)
-        if place.is_unspecified:
-            shown = socket.gethostname()
-        self.address = f"http://{shown}:{self.server_address[1]}/"
-        """What to open in a browser."""
+        url_host = f"[{place}]" if place.version == 6 else str(place)
+        if place.is_unspecified:  # 0.0.0.0 is no address that a browser can open
+            url_host = socket.gethostname()
+        self.address = f"http://{url_host}:{self.server_address[1]}/"
+        """Address for the browser."""
 
     def server_bind(self) -> None:
-        """Bind; the base class would look this machine's name up in the network."""
+        """Bind, without the base class's look-up of this machine's name, which can take seconds."""
         socketserver.TCPServer.server_bind(self)
 
     def server_close(self) -> None:
-        """Close, and read no more samples: threads that were in torch have been seen to abort a
-        process that Python takes down around them."""
+        """Close, and wait for the sample that is being read: a thread inside torch can abort the
+        process when Python shuts down."""
         super().server_close()
         self._reading.acquire()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is no error; any other is ours, and is told in one line."""
+        """Report an error in one line, unless the browser closed the connection.
+
+        Args:
+            request: The connection, unused.
+            client_address: The client, unused.
+        """
         if not isinstance(error := sys.exc_info()[1], OSError):
             print(printable(f"scenegen view: {type(error).__name__}: {error}"), file=sys.stderr)
 
     def allows(self, host: str) -> bool:
-        """Whether a request may call this server `host`: by an address, or by its own name.
+        """Whether the Host header of a request is an address, or this server's own name.
 
-        A stranger's page can have its own name lead here (DNS rebinding), and then read what is
-        served; the browser still says by which name it came.
+        The page of a stranger can make its own name lead to this server and read the answers (DNS
+        rebinding). Its requests have that name as their Host.
         """
         try:
             name = urlsplit(f"//{host}").hostname or ""
@@ -279,26 +322,36 @@ class Live(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def answer(self, what: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """A sample of dataset `number` for the page, or the world that it is of; or, under `error`,
-        a line that says why there is none."""
+    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
+        """Answer a request of the page.
+
+        Args:
+            kind: "sample" or "world".
+            number: Number of the dataset.
+            split: Name of the split.
+            index: Index of the sample in the split.
+
+        Returns:
+            Status, and the sample or its world, or a line in `error`.
+        """
         if number >= len(self.datasets):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
         samples = self.datasets[number].split(split)
         notes = {"notes": incomplete(samples.dataset, split)}
-        with self._reading:  # one at a time: files and networks are shared
+        with self._reading:  # one at a time: threads share open files and networks
             try:
-                if what == "world":
+                if kind == "world":
                     return HTTPStatus.OK, _world(samples, index)
                 return HTTPStatus.OK, packed(look_into(samples, index, self.guesses)) | notes
+            # a damaged sample is a line on the page, and the server goes on
             except (ScenegenError, OSError, IndexError, ValueError) as error:
-                line = f"the {what} is not shown: {printable(error)}"
+                line = f"the {kind} is not shown: {printable(error)}"
                 return HTTPStatus.NOT_FOUND, {"error": line, **notes}
 
 
 def _world(samples: Split, index: int) -> Json:
-    """The surfaces of the world of a sample."""
-    # MuJoCo and trimesh are needed for worlds alone
+    """Compile the world of a sample and encode its surfaces."""
+    # loads MuJoCo and trimesh, which only worlds need
     from scenegen.view.glb import surfaces
     from scenegen.worlds.world import solid
 
@@ -308,7 +361,7 @@ def _world(samples: Split, index: int) -> Json:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one connection."""
+    """Handles one connection."""
 
     server: Live
     server_version, sys_version = "scenegen", ""
@@ -316,26 +369,28 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = IDLE_S
 
     def do_GET(self) -> None:
-        """Give the page, or a sample."""
+        """Answer with the page, a sample or a world."""
         hosts = self.headers.get_all("Host") or []
         if len(hosts) != 1 or not self.server.allows(hosts[0]):
-            told = b"this name is not the viewer's; open its address\n"
-            self._answer(HTTPStatus.FORBIDDEN, "text/plain", told)
+            refusal = b"this name is not the viewer's; open its address\n"
+            self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal)
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
-        elif found := ASKED.fullmatch(self.path):
-            status, answer = self.server.answer(found[1], int(found[2]), found[3], int(found[4]))
+        elif request := REQUEST.fullmatch(self.path):
+            status, answer = self.server.answer(
+                request[1], int(request[2]), request[3], int(request[4])
+            )
             self._answer(status, "application/json", json.dumps(answer).encode())
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not told."""
+        """Print nothing for a request."""
 
     def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
         self.send_response(status)
-        about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}
-        for name, value in (SAFE | about).items():
+        headers = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}
+        for name, value in (SAFE | headers).items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)

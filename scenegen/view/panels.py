@@ -1,4 +1,4 @@
-"""The parts of pictures by matplotlib, without a screen or a GPU: dark on white, axes in metres."""
+"""Parts of pictures by matplotlib, without a screen or a GPU: dark on white, axes in metres."""
 
 import io
 import math
@@ -34,31 +34,46 @@ from scenegen.view.canvas import (
 from scenegen.view.look import Look
 
 INK, SOFT = "#1b1f24", "#59636e"
+"""Colours of letters and lines, and of notes and hidden lines."""
 RED = rgb(SENSOR)
 MAP = "#1560bd"
-"""The colour of a map's box where another one is drawn, too."""
+"""Colour of the map's box in a picture of a world, which has another box."""
 DPI, PAPER_DPI = 150, 400
+"""Pixels an inch, for the screen and for print."""
 UNREAD = "could not be read"
-BESIDE, LINE = 1.15, 0.25
-"""Room for a bar beside panels, and for a line of letters, inches."""
+"""Note in an empty panel."""
+BAR_ROOM, LINE = 1.15, 0.25
+"""Width of a colour bar beside panels, and height of a line of text, inches."""
 WIDE, TALL = 3.05, 2.6
-"""A panel with voxels, inches."""
-LEAST = 1.1
-"""The narrowest panel in which letters for print have room, inches."""
+"""Width and height of a panel with voxels, inches."""
+MIN_PANEL = 1.1
+"""Minimum width of a panel with letters for print, inches."""
 SMALLER = 0.4
-"""Share of their area that balls and points keep for print, where panels are small."""
+"""Factor for the area of balls and points in print, where panels are small."""
 
 
 def legend_columns(wide: float, marks: int) -> int:
-    """Columns of a legend of so many marks below a figure, inches."""
+    """Return the columns of a legend below a figure.
+
+    Args:
+        wide: Width of the figure, inches.
+        marks: Number of marks in the legend.
+    """
     return min(marks, max(1, int(wide / 1.75)))
 
 
 def blank(
     wide: float, tall: float, title: str, handles: Sequence[Any], dpi: int | None = None
 ) -> Figure:
-    """A white figure, inches, with a legend of `handles` below; what is put into it finds its
-    place when it is drawn."""
+    """Make a white figure with a legend below; panels are laid out when it is drawn.
+
+    Args:
+        wide: Width, inches.
+        tall: Height, inches.
+        title: Title, or "".
+        handles: Marks of the legend.
+        dpi: Pixels an inch; None: `DPI`.
+    """
     figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white", layout="compressed")
     if title:
         figure.suptitle(title, color=INK, fontsize=12)
@@ -75,27 +90,41 @@ def blank(
 
 
 def to_bytes(figure: Figure, suffix: str) -> bytes:
-    """A figure as the file that the suffix says: .png, .pdf, .svg, or .webp."""
+    """Render a figure.
+
+    Args:
+        figure: The figure.
+        suffix: Suffix of the file: .png, .pdf, .svg or .webp.
+
+    Returns:
+        Content of the file.
+    """
     from matplotlib import rc_context
 
     file = io.BytesIO()
-    # without the version of matplotlib, so that the same picture is the same file
-    unsaid = {"Software": None} if suffix == ".png" else None
-    with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # letters stay letters
-        # the figure's own dpi: matplotlib's "figure" is the one that it began with
-        figure.savefig(file, format=suffix[1:], dpi=figure.dpi, metadata=unsaid)
+    # matplotlib would write its version, and the same picture would be another file
+    metadata = {"Software": None} if suffix == ".png" else None
+    with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
+        # not dpi="figure", which is that of the figure before `for_paper`
+        figure.savefig(file, format=suffix[1:], dpi=figure.dpi, metadata=metadata)
     return file.getvalue()
 
 
 def for_paper(figure: Figure, width: float, points: float) -> None:
-    """Make a figure one for print, `width` inches wide: without a title, all letters of one size,
-    voxels and points as pixels fine enough for it in files that hold lines and letters as such."""
+    """Change a figure for print: no title, one size of letters, and voxels and points as pixels, so
+    that vector files stay small.
+
+    Args:
+        figure: The figure.
+        width: Width on paper, inches.
+        points: Size of letters, points.
+    """
     wide, tall = figure.get_size_inches()
     figure.set_size_inches(width, tall * width / wide)
     figure.suptitle("")
     figure.set_dpi(PAPER_DPI)
     for text in figure.findobj(Text):
-        text.set_fontsize(points)
+        text.set_fontsize(points)  # after the size of the figure, which does not scale letters
     for many in figure.findobj(Collection):
         many.set_rasterized(not isinstance(many, LineCollection))
         if isinstance(many, PathCollection):
@@ -103,24 +132,45 @@ def for_paper(figure: Figure, width: float, points: float) -> None:
 
 
 def plain(text: str) -> str:
-    """`text` in one line as matplotlib shows it: a dollar sign would begin mathematics."""
+    """Return a text in one line for matplotlib, in which a dollar sign would begin a formula."""
     return printable(text).replace("$", r"\$")
 
 
 def put_title(panel: Any, text: str) -> None:
-    """The words above a panel."""
+    """Write a title above a panel.
+
+    Args:
+        panel: The panel.
+        text: The title.
+    """
     panel.set_title(text, color=INK, fontsize=10)
 
 
 def put_note(panel: Any, text: str, right: float = 0.02, up: float = 0.02) -> None:
-    """Words in a panel, by default in the lower left corner, which its box leaves free."""
+    """Write a note in a panel, by default in the lower left corner, which the box leaves free.
+
+    Args:
+        panel: The panel.
+        text: The note.
+        right: Where it begins, as a share of the panel's width.
+        up: Where it begins, as a share of the panel's height.
+    """
     panel.text(right, up, text, transform=panel.transAxes, color=SOFT, fontsize=8)
 
 
 def put_ball(
     panel: Any, at: Any, *, size: float = 50, color: Any = RED, order: int = 7, marker: str = "o"
 ) -> None:
-    """Balls, or other marks, with a white rim, at positions (2,) or (n, 2) on the paper."""
+    """Draw balls, or other marks, with a white rim.
+
+    Args:
+        panel: The panel.
+        at: Positions (2,) or (n, 2) on the paper.
+        size: Area, square points.
+        color: Colour.
+        order: Order of drawing: higher is in front.
+        marker: Shape, by matplotlib's name.
+    """
     panel.scatter(
         *np.asarray(at).T,
         s=size,
@@ -135,14 +185,29 @@ def put_ball(
 def put_points(
     panel: Any, points: Floats, low: float, high: float, size: float, view: View = VIEW
 ) -> None:
-    """Points (n, 3), coloured by height from `low` to `high`, metres; near ones hide far ones."""
-    points = points[np.argsort(points @ view.eye)]
+    """Draw points coloured by height; near ones hide far ones.
+
+    Args:
+        panel: The panel.
+        points: Points (n, 3), metres in the world.
+        low: Height of the first colour, metres.
+        high: Height of the last colour, metres.
+        size: Area of a point, square points.
+        view: The projection.
+    """
+    points = points[np.argsort(points @ view.eye)]  # matplotlib draws them in this order
     shades = colour((points[:, 2] - low) / (high - low), HEIGHTS)
     panel.scatter(*view.project(points).T, s=size, c=shades, linewidths=0, zorder=3)
 
 
 def put_box(panel: Any, low: Any, high: Any) -> None:
-    """A map's box, in blue, in front of what is drawn."""
+    """Draw a map's box in blue, in front of everything.
+
+    Args:
+        panel: The panel.
+        low: Lower corner (3,), metres in the world.
+        high: Upper corner (3,), metres in the world.
+    """
     edges = VIEW.project(np.concatenate(box_edges(low, high)))
     panel.add_collection(LineCollection(edges, colors=MAP, linewidths=1.4, zorder=6))
 
@@ -156,7 +221,16 @@ def draw_panel(
     ticks: bool,
     view: View = VIEW,
 ) -> None:
-    """Draws `points`, or the mask `name`, and the sensor in the map's box."""
+    """Draw the returns or a mask of a sample, and the sensor, in the map's box.
+
+    Args:
+        panel: The panel.
+        look: The sample.
+        name: "points", or the name of a mask.
+        title: Title of the panel.
+        ticks: Whether axes have their ends in metres.
+        view: The projection.
+    """
     low, high = look.corners
     put_title(panel, title)
     frame_box(panel, low, high, ticks=ticks, view=view)
@@ -175,10 +249,15 @@ def draw_voxels(
     truth: Mask | None = None,
     view: View = VIEW,
 ) -> None:
-    """Draws cubes where `mask` is set, coloured by height; of None, says that it could not be read.
+    """Draw the voxels of a mask as cubes, coloured by height.
 
-    With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have the colours
-    of `error_colours`.
+    Args:
+        panel: The panel.
+        look: The sample, which has the grid.
+        mask: The voxels; None: the panel says that they could not be read.
+        truth: True voxels; if given, missed ones are drawn, too, and errors have the colours of
+            `error_colours`.
+        view: The projection.
     """
     if mask is None:
         put_note(panel, UNREAD, 0.35, 0.5)
@@ -192,6 +271,7 @@ def draw_voxels(
             shades[wrong] = error_colours(deep, right, voxels[wrong])
     shades *= light[:, None]
     panel.add_collection(
+        # edges of the same colour hide the seams between faces
         PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
     )
 
@@ -204,8 +284,15 @@ def frame_box(
     ticks: bool = True,
     view: View = VIEW,
 ) -> None:
-    """Draws a box with its axes in metres, and sets the limits of `panel` around it. Ticks stand
-    where they do for `VIEW`."""
+    """Draw a box, and set the panel's limits around it.
+
+    Args:
+        panel: The panel.
+        low: Lower corner (3,), metres in the world.
+        high: Upper corner (3,), metres in the world.
+        ticks: Whether axes have their ends in metres. They are placed for the azimuth of `VIEW`.
+        view: The projection.
+    """
     hidden, front = map(view.project, box_edges(low, high, view))
     for edges, shade, width, order in ((hidden, SOFT, 0.6, 1), (front, INK, 0.8, 5)):
         lines = LineCollection(edges, colors=shade, linewidths=width, zorder=order)
@@ -214,6 +301,7 @@ def frame_box(
     span = np.ptp(corners, axis=0).max()
     if ticks:
         _put_axes(panel, low, high, 0.09 * span, view)
+    # room for the ends of axes, which stand outside the box
     room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
@@ -222,7 +310,7 @@ def frame_box(
 
 
 def _put_axes(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
-    """The name and the ends of each axis, metres, at the middle of an edge."""
+    """Write name and ends of each axis, metres, beside the middle of an edge."""
     for axis, outwards in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
         point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
         point[axis] = (low[axis] + high[axis]) / 2
@@ -232,7 +320,14 @@ def _put_axes(panel: Any, low: Any, high: Any, apart: float, view: View) -> None
 
 
 def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str) -> None:
-    """A colour bar beside some panels of a figure."""
+    """Draw a colour bar beside panels of a figure.
+
+    Args:
+        panels: The panels.
+        anchors: The colour scale.
+        ends: Values of its first and its last colour.
+        label: Name and unit of the values.
+    """
     shades = LinearSegmentedColormap.from_list("", [rgb(anchor) for anchor in anchors])
     values = ScalarMappable(Normalize(*ends), shades)
     panels = np.atleast_1d(panels).ravel().tolist()
@@ -242,27 +337,40 @@ def add_bar(panels: Any, anchors: Anchors, ends: tuple[float, float], label: str
 
 
 def ball(label: str, colour: Any = RED, marker: str = "o") -> Line2D:
-    """A ball, or another mark, for a legend."""
+    """Make a ball, or another mark, for a legend.
+
+    Args:
+        label: Its text.
+        colour: Its colour.
+        marker: Its shape, by matplotlib's name.
+    """
     return Line2D([], [], marker=marker, linestyle="", color=colour, label=label)
 
 
 def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") -> Line2D:
-    """A line, for a legend."""
+    """Make a line for a legend.
+
+    Args:
+        label: Its text.
+        colour: Its colour.
+        width: Its width, points.
+        style: Its dashes.
+    """
     return Line2D([], [], color=colour, linewidth=width, linestyle=style, label=label)
 
 
-def across(most: int, width: float | None) -> int:
-    """How many panels stand side by side: `most`, or in a figure of a `width`, inches, as many as
-    can be read."""
-    return min(most, max(1, int((width - BESIDE) / LEAST))) if width else most
+def across(count: int, width: float | None) -> int:
+    """Return how many panels fit side by side.
+
+    Args:
+        count: Maximum number of panels.
+        width: Width of a figure for print, inches; None for the screen, which scrolls.
+    """
+    return min(count, max(1, int((width - BAR_ROOM) / MIN_PANEL))) if width else count
 
 
 class Grid:
-    """A figure of panels in rows and columns, with bars at its right and a legend below. Of a
-    `width`, inches, that is too narrow for them, rows and columns change places, if that helps.
-
-    Raises DatasetError where it does not.
-    """
+    """A figure of panels in rows and columns, with colour bars at the right and a legend below."""
 
     def __init__(
         self,
@@ -274,6 +382,20 @@ class Grid:
         scale: float = 1.0,
         width: float | None,
     ):
+        """Lay the figure out. If it is too narrow, rows and columns change places.
+
+        Args:
+            rows: Number of rows.
+            columns: Number of columns.
+            title: Title of the figure.
+            handles: Marks of the legend.
+            scale: Factor for the size of panels on the screen.
+            width: Width for print, inches; None for the screen.
+
+        Raises:
+            DatasetError: The columns are too narrow either way.
+        """
+        # a row for each method, if columns would be too narrow to be read
         self.turned = rows < columns and across(columns, width) < columns
         if self.turned:
             rows, columns = columns, rows
@@ -283,8 +405,8 @@ class Grid:
                     f"{columns} panels side by side are too narrow to be read; give a wider "
                     "--paper, or draw fewer samples or methods"
                 )
-            scale = (width - BESIDE) / (WIDE * columns)
-        wide = width or max(scale * WIDE * columns + BESIDE, 6.5)
+            scale = (width - BAR_ROOM) / (WIDE * columns)
+        wide = width or max(scale * WIDE * columns + BAR_ROOM, 6.5)
         lines = 2 + -(-len(handles) // legend_columns(wide, len(handles)))
         tall = (scale * TALL + (LINE if width else 0)) * rows + LINE * lines
         self.figure = blank(wide, tall, title, handles)
@@ -296,8 +418,16 @@ class Grid:
     def level(
         self, row: int, column: int, look: Look, level: int, tudf: Any, title: str = ""
     ) -> None:
-        """Draws one level of distances `tudf` (X, Y, Z) in a panel, x right and y up, in metres of
-        the world."""
+        """Draw one level of distances in a panel, x right and y up, axes in metres of the world.
+
+        Args:
+            row: Row of the panel.
+            column: Column of the panel.
+            look: The sample, which has the grid.
+            level: Index of the level along z.
+            tudf: Distances (X, Y, Z), metres; None: the panel says that they could not be read.
+            title: Title of the panel.
+        """
         panel = self.panels[row, column]
         z = height_of(look, level)
         put_title(panel, title)
@@ -309,6 +439,7 @@ class Grid:
         panel.imshow(
             shades, origin="lower", extent=(left, right, down, up), interpolation="nearest"
         )
+        # the sensor is drawn only where the level passes through it
         if abs(z - look.position[2]) <= look.grid.voxel_m:
             put_ball(panel, look.position[:2])
         panel.set_frame_on(True)
@@ -319,30 +450,50 @@ class Grid:
         panel.tick_params(labelsize=8, colors=INK)
 
     def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
-        """A bar beside a row, or beside all."""
+        """Draw the bar of heights.
+
+        Args:
+            looks: The samples.
+            row: The row beside which it stands; None for all.
+        """
         highest = max(look.grid.extent_m[2] for look in looks)
         self._bar(HEIGHTS, highest, "height in the map / m", row)
 
     def bar_of_distances(self, look: Look, row: int | None = None) -> None:
-        """A bar beside a row, or beside all."""
+        """Draw the bar of distances.
+
+        Args:
+            look: A sample, for the truncation.
+            row: The row beside which it stands; None for all.
+        """
         self._bar(DISTANCES, look.grid.truncation_m, "distance / m", row)
 
-    def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
-        beside = self.panels if row is None else self.panels[row]
-        if self.turned and row is not None:  # one bar above the other
-            middle = -(-len(beside) // 2)
-            beside = self.panels.T[:middle] if row == 0 else self.panels.T[middle:]
-        add_bar(beside, anchors, (0, most), label)
+    def _bar(self, anchors: Anchors, top: float, label: str, row: int | None) -> None:
+        panels = self.panels if row is None else self.panels[row]
+        if self.turned and row is not None:  # rows are columns now: bars stand one above the other
+            middle = -(-len(panels) // 2)
+            panels = self.panels.T[:middle] if row == 0 else self.panels.T[middle:]
+        add_bar(panels, anchors, (0, top), label)
 
     def name(self, columns: Sequence[str], rows: Sequence[str]) -> None:
-        """The words above the columns, and left of the rows."""
+        """Name columns and rows.
+
+        Args:
+            columns: A name for each column, above it.
+            rows: Names of the first rows, left of them.
+        """
         for panel, text in zip(self.panels[0], columns, strict=True):
             self._name(panel, text, above=not self.turned)
         for row, text in enumerate(rows):
             self.name_row(row, text)
 
     def name_row(self, row: int, text: str) -> None:
-        """The words left of a row."""
+        """Name a row.
+
+        Args:
+            row: Its number.
+            text: The name, left of it.
+        """
         self._name(self.panels[row, 0], text, above=self.turned)
 
     def _name(self, panel: Any, text: str, *, above: bool) -> None:
@@ -353,11 +504,17 @@ class Grid:
 
 
 def at_sensor(look: Look) -> int:
-    """The level of voxels just below the sensor."""
+    """Return the level of voxels that has the sensor's height, or ends there."""
+    # at a boundary between levels, the lower one
     height = math.ceil((look.position[2] - look.origin[2]) / look.grid.voxel_m) - 1
     return int(np.clip(height, 0, look.grid.shape[2] - 1))
 
 
 def height_of(look: Look, level: int) -> float:
-    """The height of the middle of a level of voxels in the world, metres."""
+    """Return the height of the centres of a level of voxels, metres in the world.
+
+    Args:
+        look: The sample, which has the grid.
+        level: Index of the level along z.
+    """
     return float(look.origin[2] + (level + 0.5) * look.grid.voxel_m)

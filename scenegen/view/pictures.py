@@ -1,4 +1,4 @@
-"""Pictures of one thing each: a sample, several of them, a scan, a completion, a world."""
+"""Pictures by matplotlib: of a sample, of several, of a scan, of a sensor's rays, of a world."""
 
 import io
 import math
@@ -41,19 +41,19 @@ if TYPE_CHECKING:
 
 
 MARKS = [ball("sensor"), line("the map's box"), ball("returns", INK, ".")]
-"""What the marks of samples mean."""
+"""Legend of pictures of samples."""
 FRAMES, TURN_S, TURN_DPI = 36, 8, 90
-"""Pictures of a turntable, and how long it takes to go round, seconds."""
+"""Pictures of a turntable, the time of a turn in seconds, and pixels an inch."""
 STAY_S = 0.6
-"""How long a film of a flight stays with a sample, seconds."""
-MOST_DRAWN = 500_000
-"""The most points of a picture: more are drawn as every second, third …"""
+"""Time for which a film of a flight shows a sample, seconds."""
+MAX_DRAWN = 500_000
+"""Maximum points of a picture: of more, every second is drawn, or every third …"""
 PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
 CUT, PLAIN = 0.3, 0.88
-"""Greys of solids where the picture cuts through them, and of planes."""
+"""Greys of cut solids and of planes."""
 
 
 def draw_sample(
@@ -63,11 +63,16 @@ def draw_sample(
     panels: Sequence[str] = ("points", "observed", "occupancy"),
     width: float | None = None,
 ) -> Figure:
-    """Draws returns, observed and occupied voxels, or other masks, seen from above and aside, over
-    three levels of the distances.
+    """Draw a sample: three panels of voxels or returns, above three levels of the distances.
 
-    The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
-    empty, and says so.
+    Args:
+        look: The sample.
+        title: Title of the figure.
+        panels: "points" or names of masks, one for each upper panel.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: The figure is too narrow.
     """
     handles = [ball("sensor"), line("the map's box")]
     grid = Grid(2, 3, title, handles, scale=1.25, width=width)
@@ -84,7 +89,16 @@ def draw_sample(
 
 
 def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
-    """Draws many samples on one sheet: occupied voxels with the returns over them."""
+    """Draw many samples on one sheet: occupied voxels, with the returns in front of them.
+
+    Args:
+        looks: The samples.
+        title: Title of the figure.
+        width: Width of a figure for print, inches; None for the screen.
+
+    Raises:
+        DatasetError: The figure is too narrow.
+    """
     columns = across(min(4, len(looks)), width)
     grid = Grid(-(-len(looks) // columns), columns, title, MARKS, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
@@ -94,20 +108,39 @@ def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None)
 
 
 def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
-    """Draws a turntable as an animated picture: occupied voxels and returns from all sides."""
+    """Draw a turntable: occupied voxels and returns from all sides.
+
+    Args:
+        look: The sample.
+        title: Title of the picture.
+        suffix: Suffix of the file: .webp or .gif.
+        frames: Number of pictures in a turn.
+
+    Returns:
+        Content of the animated picture.
+    """
     turns = VIEW.azimuth + np.linspace(0, 2 * math.pi, frames, endpoint=False)
     pictures = [_frame(look, View(azimuth=float(turn)), title) for turn in turns]
     return _film(pictures, TURN_S / frames, suffix)
 
 
 def draw_flight(looks: Sequence[Look], *, title: str, suffix: str) -> bytes:
-    """Draws the samples of a flight one after the other, as an animated picture."""
+    """Draw the samples of a flight one after the other.
+
+    Args:
+        looks: The samples, in order.
+        title: Title of the picture.
+        suffix: Suffix of the file: .webp or .gif.
+
+    Returns:
+        Content of the animated picture.
+    """
     pictures = [_frame(look, VIEW, f"{title}, {look.name}") for look in looks]
     return _film(pictures, STAY_S, suffix)
 
 
 def _frame(look: Look, view: View, title: str) -> Any:
-    """A picture of a film, in which a map has the same size however it is turned."""
+    """Draw a picture of a film. A map has the same size in it however it is turned."""
     from PIL import Image
 
     low, high = look.corners
@@ -115,6 +148,7 @@ def _frame(look: Look, view: View, title: str) -> Any:
     panel = figure.subplots()
     _with_returns(panel, look, view, 1.2, "")
     middle, reach = view.project((low + high) / 2), 1.03 * math.hypot(*look.grid.extent_m) / 2
+    # the diagonal fits at every turn
     limits = np.array([middle, middle]) + reach * np.array([[-1, -0.75], [1, 0.75]])
     panel.set(xlim=limits[:, 0], ylim=limits[:, 1])
     add_bar(panel, HEIGHTS, (low[2], high[2]), "height / m")
@@ -122,7 +156,7 @@ def _frame(look: Look, view: View, title: str) -> Any:
 
 
 def _film(pictures: Sequence[Any], pause_s: float, suffix: str) -> bytes:
-    """An animated picture, each picture of which is shown for a while."""
+    """Encode an animated picture that shows each picture for `pause_s` seconds."""
     file = io.BytesIO()
     pictures[0].save(
         file,
@@ -137,7 +171,7 @@ def _film(pictures: Sequence[Any], pause_s: float, suffix: str) -> bytes:
 
 
 def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -> None:
-    """Occupied voxels with the returns over them."""
+    """Draw occupied voxels with the returns in front of them."""
     draw_panel(panel, look, "occupancy", title, ticks=False, view=view)
     if look.points is not None:
         places = view.project(look.points).T
@@ -145,7 +179,7 @@ def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -
 
 
 def _landscape(title: str, low: Floats, high: Floats, handles: Sequence[Any]) -> tuple[Figure, Any]:
-    """A figure with one wide panel, a box in it, and a bar of heights."""
+    """Make a figure with one wide panel, a box in it, and a bar of heights."""
     figure = blank(9, 6.6, title, handles)
     panel = figure.subplots()
     frame_box(panel, low, high)
@@ -160,19 +194,19 @@ def draw_scan(
 
     Args:
         path: The file.
-        columns: See `read_cloud`.
+        columns: Columns of a file without a header, see `read_cloud`.
         report: Called with a line on how the file was read.
 
     Raises:
-        DatasetError: The file holds no scan, or nothing returned.
+        DatasetError: The file cannot be read, or has no returns.
     """
     cloud, counts = read_cloud(path, columns=columns), ReadReport()
     counts.add(len(cloud.points), cloud.layout, 0)
     report(counts)
     points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
     if not len(points):
-        raise DatasetError(f"{path}: no point of it is a return")
-    points = points[:: -(-len(points) // MOST_DRAWN)]
+        raise DatasetError(f"{path}: none of its points is a return")
+    points = points[:: -(-len(points) // MAX_DRAWN)]
     # a metre around the sensor at least, so that a box has room
     low, high = np.minimum(points.min(axis=0), -1), np.maximum(points.max(axis=0), 1)
     handles = [ball("sensor"), line("the box of all points and the sensor")]
@@ -183,9 +217,8 @@ def draw_scan(
 
 
 def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
-    """Draws a panel for every sensor by its name, one below the other: every ray is a dot, from
-    dark for the first to light for the last in time. Degrees; azimuth grows to the left, as for the
-    body."""
+    """Draw a panel for each sensor, by its name: each ray is a dot at its azimuth and elevation in
+    degrees, from dark for the first in time to light for the last."""
     angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
     heights = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) + 0.7 for up, around in angles]
     figure = Figure(figsize=(6.4, sum(heights)), dpi=100, layout="constrained")
@@ -193,14 +226,23 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     for panel, (name, sensor), (up, around) in zip(panels, sensors.items(), angles, strict=True):
         panel.scatter(around, up, s=1, c=sensor.times_s.ravel(), cmap="viridis", linewidths=0)
         panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=plain(name))
-        panel.invert_xaxis()
+        panel.invert_xaxis()  # seen from the body, azimuth grows to the left
         panel.grid(alpha=0.4)
     return figure
 
 
 def draw_world_file(path: Path, seed: int | None = None) -> Figure:
-    """Draw the world of an MJCF file or a mesh, and, by a seed, a random flight in it."""
-    # these compile; pictures of samples do without them
+    """Draw the world of a file.
+
+    Args:
+        path: MJCF, or a mesh.
+        seed: Seed of a random flight to draw in it; None for no flight.
+
+    Raises:
+        SceneError: The file holds no world, or a map.
+        GenerationError: No flight fits.
+    """
+    # compiles; pictures of samples do without
     from scenegen.draw.source import read_world
     from scenegen.worlds.flight import poses_in_flight
     from scenegen.worlds.world import solid
@@ -219,19 +261,19 @@ def draw_world(
     joined: bool = False,
     box: tuple[Floats, Floats] | None = None,
 ) -> Figure:
-    """Draws what stands in the box in which the sensor flies, and below it, seen from above and
-    aside, in metres.
+    """Draw the solids in the flight bounds, and below them down to the ground, in metres.
 
-    Walls and roofs before the box are cut away, solids at its faces are dark grey, planes light
-    grey, and all else has the colour of its height.
+    Solids outside are cut away. Cuts are dark grey, planes light grey, and everything else has the
+    colour of its height.
 
     Args:
         world: The world.
-        title: The words above it.
-        places: Viewpoints (n, 3), as balls.
-        joined: Whether a red line joins them, as those of a flight.
-        box: Least and greatest corner of a map, drawn in blue.
+        title: Title of the figure.
+        places: Viewpoints (n, 3), metres in the world, drawn as balls.
+        joined: Whether a red line joins them, as a flight.
+        box: Lower and upper corner (3,) of a map, metres in the world, drawn in blue.
     """
+    # flights stay above the ground, but the picture has to show what they fly over
     low, high = world.flight_bounds.copy()
     bounded = world.solids.lower[np.isfinite(world.solids.lower).all(axis=1)]
     low[2] = min([low[2], *bounded[:, 2], *world.solids.triangles.reshape(-1, 3)[:, 2]])
@@ -244,7 +286,7 @@ def draw_world(
     figure, panel = _landscape(title, low, high, handles)
     limits = panel.axis()
     panel.imshow(image, origin="lower", extent=extent, zorder=2)
-    panel.axis(limits)  # imshow sets its own
+    panel.axis(limits)  # imshow has changed the limits
     if box is not None:
         put_box(panel, *box)
     if places is not None:
@@ -256,16 +298,16 @@ def draw_world(
 def see(
     world: "World", low: Floats, high: Floats
 ) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Looks at a world with our own rays, so that what is drawn is what the sensor would meet.
+    """Render a world by casting rays, so that the picture has what the sensor would meet.
 
     Args:
         world: The world.
-        low: Least corner (3,) of the box in which parallel rays begin where they enter it, metres.
-        high: Its greatest corner (3,).
+        low: Lower corner (3,) of the box at whose faces parallel rays begin, metres in the world.
+        high: Its upper corner (3,).
 
     Returns:
-        Colours (rows, columns, 3), white where rays miss the box, and where the picture lies on the
-        paper: left, right, down, up.
+        Colours (rows, columns, 3), white where rays miss the box; and the extent of the picture on
+        the paper: left, right, down, up.
     """
     corners = VIEW.project(np.concatenate(box_edges(low, high)).reshape(-1, 3))
     (left, down), (right, up) = corners.min(axis=0), corners.max(axis=0)
@@ -274,11 +316,12 @@ def see(
         np.arange(left, right, step) + step / 2, np.arange(down, up, step) + step / 2
     )
     flat = across.reshape(-1, 1) * VIEW.right + upward.reshape(-1, 1) * VIEW.up
-    faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])  # of the planes, eyewards
+    # the slab method: a ray is in the box from the nearest far face to the farthest near face
+    faces = np.stack([(low - flat) / VIEW.eye, (high - flat) / VIEW.eye])
     begin, end = faces.max(axis=0).min(axis=1), faces.min(axis=0).max(axis=1)
     met = begin > end
     image = np.ones((len(flat), 3))
-    if met.any():  # a box without height has none
+    if met.any():  # no ray meets a box without height
         starts = flat[met] + begin[met, None] * VIEW.eye
         reach = float((begin - end)[met].max()) + 1.0
         image[met] = _shades(world, starts, reach, low[2], high[2])
@@ -286,8 +329,8 @@ def see(
 
 
 def _shades(world: "World", starts: Floats, reach: float, low: float, high: float) -> Floats:
-    """Colours (n, 3) of what rays from `starts` (n, 3) away from the eye meet."""
-    from lidarsim import AnalyticEngine  # compiles; a picture of samples casts no rays
+    """Return colours (n, 3) of the solids that rays from `starts` (n, 3) away from the eye meet."""
+    from lidarsim import AnalyticEngine  # compiles; pictures of samples cast no rays
     from lidarsim.solids import PLANE
 
     away = np.broadcast_to(-VIEW.eye, (len(starts), 1, 3)).copy()
