@@ -34,7 +34,7 @@ from scenegen.model.config import (
     named,
     target_name,
 )
-from scenegen.model.targets import BUILT_IN, Target, targets_of
+from scenegen.model.targets import Target, targets_of
 
 Batch = dict[str, Tensor]
 """A named batch, (B, *grid.shape) each: a network's inputs. In training, the truth of its targets,
@@ -85,9 +85,7 @@ def build(config: NetworkConfig) -> nn.Module:
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
     network.register_forward_pre_hook(_inputs_alone)
-    tasks = {*getattr(network, "tasks", TASKS), *config.targets}
-    # in the order of `Output.by_target`
-    network.tasks = (*[name for name in BUILT_IN if name in tasks], *config.targets)
+    network.tasks = tuple(dict.fromkeys((*getattr(network, "tasks", TASKS), *config.targets)))
     network.config, network.targets = config, targets_of(network.tasks)
     return network
 

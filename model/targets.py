@@ -153,8 +153,9 @@ def target_called(name: str) -> Target:
 
 def targets_of(names: Iterable[str]) -> dict[str, Target]:
     """The targets called `names`, those that come with scenegen or module:Class, by their
-    `target_name`."""
-    return {target_name(name): target_called(name) for name in names}
+    `target_name`: occupancy first, then distances."""
+    targets = {target_name(name): target_called(name) for name in names}
+    return {name: targets[name] for name in (*BUILT_IN, *targets) if name in targets}
 
 
 def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:

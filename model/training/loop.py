@@ -344,8 +344,8 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         )
     if not shapes.keys() & BUILT_IN.keys():
         raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
-    predicted = Prediction.of(output.predictions(network.targets, maps.grid))
-    with raised_as(TrainingError, of=PredictionError):
+    with torch.no_grad(), raised_as(TrainingError, of=PredictionError):
+        predicted = Prediction.of(output.predictions(network.targets, maps.grid))
         check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():
         if value.dtype not in DTYPES:

@@ -99,13 +99,14 @@ from scenegen.model.network import Output
 from my_net import Net
 class Flat(Net):
     def forward(self, batch):
-        return Output(*(part[..., 0] for part in super().forward(batch)))
+        output = super().forward(batch)
+        return Output(output.logits[..., 0], output.tudf[..., 0])
 class Blind(Net):
     tasks = ("occupancy",)
 class Negative(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
-        return Output(logits, -tudf)
+        output = super().forward(batch)
+        return Output(output.logits, -output.tudf)
 class Peeking(Net):
     def forward(self, batch):
         return super().forward(batch) if "occupancy" in batch else Output(None, "shown no truth")
@@ -125,7 +126,7 @@ class Broken(Net):
         raise KeyError("gone")
 class Branching(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
+        logits, tudf, _ = super().forward(batch)
         return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
 def plain(config): return 3
 def detached(output, batch): return output.logits.detach().mean()
@@ -140,7 +141,7 @@ SAID = r"""
 {"variant": "wrong:Flat"}                        → variant wrong:Flat: gives .*expected
 {"variant": "wrong:Blind"}                       → by its `tasks`
 {"variant": "wrong:Negative"}                    → no negative distance
-{"variant": "wrong:Peeking"}                     → gives .None, 'shown no truth'
+{"variant": "wrong:Peeking"}                     → gives .'tudf': 'shown no truth'
 {"variant": "wrong:Masked"}                      → mask is torch.bool, expected float32 or int64
 {"objective": "wrong:detached"}                  → no weight of variant my_net:Net changes it
 {"variant": "wrong:Gone"}                        → has no Gone
