@@ -7,6 +7,7 @@ All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the n
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
@@ -55,13 +56,16 @@ def loss_of(
     objective = named(LOSSES, config.objective)
     function = objective(config, grid) if isinstance(objective, type) else objective
 
-    def loss(output: Output, batch: Batch) -> dict[str, Tensor]:
-        terms = function(output, batch)
-        if not isinstance(terms, Mapping):
-            return {"loss": terms}
-        return {"loss": sum(terms.values()), **terms}
+    return lambda output, batch: summed(function(output, batch))
 
-    return loss
+
+def summed(terms: Tensor | Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What a user's own code says of a batch, a scalar or several by name, with what is minimised
+    as ``loss``: their sum, unless there is one."""
+    if not isinstance(terms, Mapping):
+        return {"loss": terms}
+    total: Any = sum(terms.values())
+    return {"loss": total, **terms}
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
-from scenegen.model.losses import loss_of
+from scenegen.model.losses import loss_of, summed
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
@@ -176,7 +176,8 @@ class Step:
     def __post_init__(self) -> None:
         targets: Any = self.network.targets
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor, targets)
-        model = self.network
+        self._own = hasattr(self.network, "training_step")
+        model = OwnStep(self.network) if self._own else self.network
         if self.group.size > 1:
             if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
@@ -210,13 +211,26 @@ class Step:
         }
         self.optimizer.zero_grad()
         with autocast(self.group.device, self.group.precision):
-            output = Output(*self._model(batch))
-        losses = self._loss(output, batch)
+            given = self._model(batch)
+        losses = summed(given) if self._own else self._loss(Output(*given), batch)
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
+
+
+class OwnStep(nn.Module):
+    """The `training_step` of a user's own network as a forward pass, which several processes
+    share."""
+
+    def __init__(self, network: Any):
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: Batch) -> Any:
+        """The losses of a batch."""
+        return self.network.training_step(batch)
 
 
 class Muon(torch.optim.AdamW):
@@ -353,13 +367,14 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
     terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
-    for name, value in terms.items():
+    steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
+    for name, value in [*terms.items(), *steps.items()]:
         if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, *RESERVED}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"
             )
-    if not terms["loss"].requires_grad:
+    if not (steps or terms)["loss"].requires_grad:
         raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
     if config.choose not in (*terms, "last"):
         raise TrainingError(

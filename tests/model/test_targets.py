@@ -167,6 +167,40 @@ def test_names_of_other_maps_are_refused(settings):
         NetworkConfig(**settings)
 
 
+OWN = """
+import torch
+from torch import nn
+from scenegen import Output
+class Net(nn.Module):
+    tasks = ("occupancy",)
+    def __init__(self, config):
+        super().__init__()
+        self.body = nn.Conv3d(1, 1 + config.channels_of("classes"), 3, padding=1)
+    def forward(self, batch):
+        logits, *classes = self.body(batch["observed"].float()[:, None]).unbind(dim=1)
+        return Output(logits, None, {"classes": torch.stack(classes, dim=1)})
+class Silent(Net):
+    def forward(self, batch):
+        return super().forward(batch)._replace(others={})
+"""
+
+
+def test_a_network_of_ones_own_predicts_it_and_is_exported(here, capsys):
+    (here / "own.py").write_text(OWN)
+    own = "own:Net,my_labels:Classes@run"
+    train(["data/street"], config_of(variant="own:Net"), here / "run")
+    done(capsys, f"export {own} -o net.onnx")
+    maps = np.random.default_rng(0).random((3, 24, 24, 16)) < 0.1
+    network = Completer.from_pretrained(own)
+    exported = Completer.from_pretrained("my_labels:Classes@net.onnx")
+    classes = network(maps).others["classes"]
+    assert (exported(maps).others["classes"] == classes).mean() > 0.99
+    with pytest.raises(CheckpointError, match="my_labels:Classes"):
+        Completer.from_pretrained("net.onnx")
+    with pytest.raises(ScenegenError, match=r"expected .*'classes'"):
+        train(["data/street"], config_of(variant="own:Silent"), here / "silent")
+
+
 def test_a_second_task_is_a_target_like_any(here):
     """The paper's two tasks, as two decoders that are not coupled."""
     config = config_of(variant="occ", targets=("tudf",), epochs=1)
