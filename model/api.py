@@ -73,9 +73,7 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
-    code = ",".join(
-        name for name in (config.network.variant, *config.network.inputs) if ":" in name
-    )
+    code = ",".join(config.network.own)
     return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
 
 

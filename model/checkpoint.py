@@ -105,7 +105,7 @@ def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, 
     try:
         config, grid = network_from(header)
         about = dict(header.get("about", {}))
-        check_own(path, own, config.variant, *config.inputs)
+        check_own(path, own, *config.own)
         # on "meta", a network takes no memory: the file is compared before anything is made of it
         with torch.device("cpu" if is_own(config.variant) else "meta"):
             network = build(config)
@@ -139,12 +139,13 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
 
 
 def current_settings(network: Json) -> Json:
-    """The settings of a network, without the stem stride that versions up to 0.2.0 wrote.
+    """The settings of a network as this version writes them: without the stem stride that versions
+    up to 0.2.0 wrote, and with targets, which they did not have.
 
     Raises:
         ValueError: if the network has a stem that this version does not build.
     """
-    network = dict(network)
+    network = {"targets": [], "channels": [], **network}
     if (stride := network.pop("stem_stride", STEM_STRIDE)) != STEM_STRIDE:
         raise ValueError(f"stem_stride = {short(stride)}: networks have {STEM_STRIDE}")
     return network

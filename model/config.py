@@ -16,6 +16,7 @@ from lidarsim.registry import Registry, suggestion
 from scenegen.base.errors import ScenegenError, raised_as, short
 from scenegen.base.limits import (
     MOST_BATCH,
+    MOST_CLASSES,
     MOST_EPOCHS,
     MOST_FEATURES,
     MOST_HEIGHT,
@@ -79,7 +80,14 @@ INPUTS = Registry(
     {name: f"scenegen.model.inputs:{name}" for name in ("observed", "free", "distance")},
 )
 """Channels that a network may take: functions of (sample or scan, grid, sensor)."""
-
+TARGETS = Registry(
+    "target",
+    {"occupancy": "scenegen.model.targets:Occupancy", "tudf": "scenegen.model.targets:Tudf"},
+    needs={"truth": "a method: (sample, grid) -> array", "loss": "a method"},
+)
+"""Classes of what a network may predict; see `scenegen.model.targets.Target`."""
+TAKEN = ("observed", "known", "certain", "world", "viewpoint", "sha256", "probability")
+"""Names of maps in batches and files, which no target may have."""
 
 METHODS = Registry(
     "method",
@@ -101,6 +109,12 @@ USUAL = tuple(name for name in METHODS.builtin if name != "seen")
 def is_own(name: str) -> bool:
     """Whether `name` is module:Object, so that code of a user's own stands behind it."""
     return ":" in name
+
+
+def target_name(name: str) -> str:
+    """What batches, outputs and predictions call the target `name`: "classes" for
+    "my_labels:Classes"."""
+    return name.rpartition(":")[2].lower()
 
 
 def named(registry: Registry, name: str) -> Any:
@@ -137,6 +151,10 @@ class NetworkConfig:
     inputs: tuple[str, ...] = ("observed",)
     """Names of the channels that the network takes, in their order (paper: the voxels that hold a
     return, alone); one's own as module:function."""
+    targets: tuple[str, ...] = ()
+    """Names of what the network predicts besides its variant's; one's own as module:Class."""
+    channels: tuple[int, ...] = number((), least=1, most=MOST_CLASSES)
+    """How many channels each of these has; `train` takes it from the data."""
     width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
     heads: int = number(4, least=1)
@@ -147,17 +165,41 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        for registry, names in ((NETWORKS, [self.variant]), (INPUTS, self.inputs)):
+        for registry, names in (
+            (NETWORKS, [self.variant]),
+            (INPUTS, self.inputs),
+            (TARGETS, self.targets),
+        ):
             for name in names:
                 if not is_own(name) and name not in registry.builtin:
                     raise ValueError(registry.unknown(name))
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
+        usual = VARIANTS[self.variant].tasks if self.variant in VARIANTS else ()
+        names = [*usual, *map(target_name, self.targets), *self.inputs]
+        if len(set(names)) < len(names) or set(TAKEN) & {*map(target_name, self.targets)}:
+            raise ValueError(
+                f"targets = {short(self.targets)}: expected names of no other map, each once"
+            )
+        if self.channels and len(self.channels) != len(self.targets):
+            raise ValueError(
+                f"channels = {short(self.channels)}: expected a number for each of the "
+                f"{len(self.targets)} targets"
+            )
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
                 "must be a multiple of the heads"
             )
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """The code of a user's own that it is made of, module:Object each."""
+        return tuple(filter(is_own, (self.variant, *self.inputs, *self.targets)))
+
+    def channels_of(self, target: str) -> int:
+        """How many channels a target has, called by its `target_name`."""
+        return dict(zip(map(target_name, self.targets), self.channels, strict=False)).get(target, 1)
 
     def check_map(self, shape: tuple[int, ...]) -> None:
         """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
@@ -171,10 +213,10 @@ class NetworkConfig:
                 f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no "
                 f"others"
             )
-        if math.prod(shape) * self.width > MOST_FEATURES:
+        if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MOST_FEATURES:
             raise ValueError(
-                f"maps of {shape} voxels at width {self.width}: expected "
-                f"{MOST_FEATURES // self.width} voxels at most; "
+                f"maps of {shape} voxels at width {features}: expected "
+                f"{MOST_FEATURES // features} voxels at most; "
                 "use a smaller grid, or a smaller --width"
             )
 

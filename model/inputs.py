@@ -131,11 +131,11 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
-    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in
-    y from 4 on.
+    """A map (..., X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z,
+    mirrored in y from 4 on.
 
     The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
     """
     if symmetry >= SYMMETRIES // 2:
-        grid = grid[:, ::-1]
-    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(0, 1)))
+        grid = grid[..., ::-1, :]
+    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(-3, -2)))

@@ -13,7 +13,7 @@ one's own is a class like `Network`: docs/own-network.md.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,14 +21,26 @@ import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
+from lidarsim import GridSpec
 from scenegen.base.errors import ScenegenError
 from scenegen.base.executors import processor
-from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
+from scenegen.model.config import (
+    LEVELS,
+    NETWORKS,
+    SHARED,
+    TASKS,
+    VARIANTS,
+    NetworkConfig,
+    named,
+    target_name,
+)
+from scenegen.model.targets import Target, targets_of
 
 Batch = dict[str, Tensor]
-"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and
-``tudf``, too; and where maps of real places are among them, what is ``known``, and which distances
-are ``certain``: nothing unknown is nearer than what is known to be occupied."""
+"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the truth of its targets,
+too, and always the true ``occupancy`` and ``tudf``; and where maps of real places are among them,
+what is ``known``, and which distances are ``certain``: nothing unknown is nearer than what is known
+to be occupied."""
 
 
 class Output(NamedTuple):
@@ -38,15 +50,32 @@ class Output(NamedTuple):
     """(B, X, Y, Z): the probability of occupancy before its sigmoid."""
     tudf: Tensor | None
     """(B, X, Y, Z): metres, not negative, not truncated."""
+    others: Mapping[str, Tensor] = {}
+    """(B, X, Y, Z) or (B, channels, X, Y, Z): its other targets, by `target_name`."""
 
     @classmethod
-    def of(cls, found: dict[str, Tensor]) -> "Output":
-        """From what the heads give, by task."""
-        return cls(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+    def of(cls, heads: Mapping[str, Tensor], targets: Mapping[str, Target]) -> "Output":
+        """From what the heads give, by target."""
+        outputs = {name: targets[name].output(values) for name, values in heads.items()}
+        return cls(outputs.pop("occupancy", None), outputs.pop("tudf", None), outputs)
+
+    @property
+    def by_target(self) -> dict[str, Tensor]:
+        """What it says, by target."""
+        outputs = {"occupancy": self.logits, "tudf": self.tudf, **self.others}
+        return {name: values for name, values in outputs.items() if values is not None}
+
+    def predictions(self, targets: Mapping[str, Target], grid: GridSpec) -> dict[str, Tensor]:
+        """What a `Prediction` keeps of it, by the name of its array."""
+        return {
+            targets[name].part or name: targets[name].prediction(values.float(), grid)
+            for name, values in self.by_target.items()
+        }
 
 
 def build(config: NetworkConfig) -> nn.Module:
-    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`.
+    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`,
+    names of all that it predicts, and these `targets` themselves by `target_name`.
 
     Raises ScenegenError for a name that leads to none.
     """
@@ -56,7 +85,8 @@ def build(config: NetworkConfig) -> nn.Module:
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
     network.register_forward_pre_hook(_inputs_alone)
-    network.config, network.tasks = config, tuple(getattr(network, "tasks", TASKS))
+    network.tasks = tuple(dict.fromkeys((*getattr(network, "tasks", TASKS), *config.targets)))
+    network.config, network.targets = config, targets_of(network.tasks)
     return network
 
 
@@ -89,7 +119,11 @@ class Network(nn.Module):
         super().__init__()
         self.config = config
         variant = VARIANTS[config.variant]
-        self.tasks = variant.tasks
+        self.tasks = (*variant.tasks, *config.targets)
+        self.targets = targets_of(self.tasks)
+        branches = variant.decoders
+        if branches != SHARED:  # what is not of the variant has a decoder, and is not coupled
+            branches = (*branches, *map(target_name, config.targets))
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
         self.preprocess = nn.Sequential(
@@ -100,24 +134,28 @@ class Network(nn.Module):
             for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
         )
         self.attention = SelfAttention(widths[-1], config.heads)
-        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
+        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in branches})
         self.fusion = nn.ModuleList(map(CrossFusion, widths)) if variant.coupled else None
         self.columns = None
         if variant.columns:
             levels = [(c, config.height // 2 ** (level + 1)) for level, c in enumerate(widths)]
             self.columns = Columns(inputs, config.height, levels, variant.columns)
             features = 2 * finest
-        self.head = nn.ModuleDict({task: FinalUp(features, finest) for task in variant.tasks})
+        self.head = nn.ModuleDict(
+            {
+                name: FinalUp(features, finest, config.channels_of(name))
+                for name in map(target_name, self.tasks)
+            }
+        )
 
     def forward(self, batch: Batch) -> Output:
         """What the heads make of the features (eq. 6)."""
         features = self.features(batch)
-        return Output.of(
-            {
-                task: head(features.get(task, features.get("shared")))
-                for task, head in self.head.items()
-            }
-        )
+        heads = {
+            name: head(features.get(name, features.get("shared")))
+            for name, head in self.head.items()
+        }
+        return Output.of(heads, self.targets)
 
     def features(self, batch: Batch) -> dict[str, Tensor]:
         """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
@@ -135,7 +173,7 @@ class Network(nn.Module):
             }
             if self.fusion is not None:
                 t, o = self.fusion[level](features["tudf"], features["occupancy"])  # eq. 5
-                features = {"tudf": t, "occupancy": o}
+                features |= {"tudf": t, "occupancy": o}
             if columns is not None:
                 flat = columns[level]
                 features = {
@@ -207,27 +245,29 @@ class CrossFusion(nn.Module):
 
 
 class FinalUp(nn.Module):
-    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
+    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z), or (B, channels, X, Y, Z) for several: eight values
+    a cell, one for each voxel in it.
 
     The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an
     upper bound of the logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, below: int, width: int):
+    def __init__(self, below: int, width: int, channels: int = 1):
         super().__init__()
         self.refine = nn.Sequential(
             *_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True)
         )
-        self.split = Conv3d(width, 8, 3, padding=1)
+        self.split = Conv3d(width, 8 * channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """As the class says."""
         x = self.refine(x)
         # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
         with torch.autocast(x.device.type, enabled=False):
-            cells = self.split(x.float()).unflatten(1, (2, 2, 2))
-        # (B, i, j, k, x, y, z) → (B, x, i, y, j, z, k) → (B, X, Y, Z)
-        return cells.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2)
+            cells = self.split(x.float()).unflatten(1, (-1, 2, 2, 2))
+        # (B, c, i, j, k, x, y, z) → (B, c, x, i, y, j, z, k) → (B, c, X, Y, Z)
+        voxels = cells.permute(0, 1, 5, 2, 6, 3, 7, 4).flatten(6, 7).flatten(4, 5).flatten(2, 3)
+        return voxels.squeeze(1)
 
 
 class Columns(nn.Module):

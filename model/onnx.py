@@ -25,11 +25,11 @@ from scenegen.base.files import Json, check_ours, read_bounded, write_result
 from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.base.workers import guarded
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
-from scenegen.model.config import VARIANTS, NetworkConfig
+from scenegen.model.config import VARIANTS, NetworkConfig, target_name
 from scenegen.model.network import Batch, Output, prefers_bfloat16
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
-"""Outputs of an ONNX file, by task."""
+"""Outputs of an ONNX file, by task; others are called as their `target_name`."""
 HEADER = "scenegen"
 """Key of the file's metadata under which grid, variant and origin stand, as JSON."""
 LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
@@ -61,13 +61,14 @@ def load_onnx(
     content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
         file = _examined(content, runtime)
-    check_own(path, own, *file.config.inputs)
+    check_own(path, own, *file.config.inputs, *file.config.targets)
     run = _open(content, file, threads)
 
     def forward(batch: Batch) -> Output:
         values = run({name: batch[name].float().numpy(force=True) for name in file.config.inputs})
         by_name = dict(zip(file.outputs, map(torch.from_numpy, values), strict=True))
-        return Output(*map(by_name.get, NAMES.values()))
+        logits, tudf = (by_name.pop(name, None) for name in NAMES.values())
+        return Output(logits, tudf, by_name)
 
     return forward, file
 
@@ -151,14 +152,16 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
         )
     _check_numbers(graph, tensors)
     outputs = {output.name for output in graph.output}
-    tasks = [task for task, name in NAMES.items() if name in outputs]
+    others = [*map(target_name, config.targets)]
+    tasks = [task for task in (*NAMES, *others) if NAMES.get(task, task) in outputs]
     variant = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
-    if variant and set(tasks) != set(variant.tasks):
+    expected = {*(variant.tasks if variant else tasks), *others}
+    if set(tasks) != expected:
         raise CheckpointError(
             f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
-            f"{' and '.join(variant.tasks)}; export it again"
+            f"{' and '.join(sorted(expected))}; export it again"
         )
-    return config, grid, about, tuple(NAMES[task] for task in tasks)
+    return config, grid, about, tuple(NAMES.get(task, task) for task in tasks)
 
 
 def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
@@ -191,10 +194,12 @@ def _try(task: tuple[bytes, Examined]) -> None:
     shape = (2, *file.grid.shape)  # a file may take one alone
     run = _open(content, file, threads=1)
     values = run({name: np.zeros(shape, np.float32) for name in file.config.inputs})
-    good = [
-        value.shape == shape and value.dtype == np.float32 and np.isfinite(value).all()
-        for value in values
-    ]
+    good = []
+    for name, value in zip(file.outputs, values, strict=True):
+        channels = file.config.channels_of(name)
+        expected = (2, *[channels] * (channels > 1), *file.grid.shape)
+        finite = value.dtype == np.float32 and np.isfinite(value).all()
+        good.append(value.shape == expected and finite)
     if not good or not all(good):
         raise CheckpointError(
             f"gives other than {' and '.join(NAMES.values())}, finite, float32, {shape}; export "
@@ -254,12 +259,12 @@ class Traced(nn.Module):
         """The network's inputs in their order, (B, X, Y, Z) each → its outputs, those of
         `NAMES`."""
         output = self.network(dict(zip(self.network.config.inputs, inputs, strict=True)))
-        return tuple(part for part in output if part is not None)
+        return tuple(Output(*output).by_target.values())
 
 
 def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> None:
     """Write `network` as ONNX: its inputs by name, float32 (B, *grid.shape) each → ``logits``
-    and/or ``tudf``, the same shape.
+    and/or ``tudf``, the same shape, and other targets by their `target_name`.
 
     Raises CheckpointError for a name that does not end in .onnx, where onnx is not installed, and
     for a network that torch cannot export, or that has loops; DatasetError where the disk refuses.
@@ -284,7 +289,7 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
                 Traced(network.cpu()).eval(),
                 tuple(torch.zeros(2, *grid.shape) for _ in inputs),
                 input_names=list(inputs),
-                output_names=[name for task, name in NAMES.items() if task in network.tasks],
+                output_names=[NAMES.get(name, name) for name in network.targets],
                 dynamic_shapes=(tuple({0: batch} for _ in inputs),),
                 dynamo=True,
                 verbose=False,

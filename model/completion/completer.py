@@ -6,7 +6,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -35,6 +35,7 @@ from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, 
 from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
+from scenegen.model.targets import BUILT_IN, Target, targets_of
 from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
@@ -68,6 +69,8 @@ class Completer:
     """Threads of the processor on which it computes; 0 for all."""
     opened: tuple[str, str, int]
     """Name, device and batch, by which `opened_once` has it in other processes."""
+    targets: Mapping[str, Target]
+    """What it predicts, by `target_name`."""
     learned = True
 
     def __post_init__(self) -> None:
@@ -99,9 +102,10 @@ class Completer:
         if path.suffix == ".onnx":
             run, file = load_onnx(path, threads=threads, own=own)
             grid, about, inputs = file.grid, file.about, file.config.inputs
+            targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)
-            inputs = network.config.inputs
+            inputs, targets = network.config.inputs, network.targets
             unfit = RuntimeError, AssertionError
             with raised_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
                 placed(network, device)
@@ -121,6 +125,7 @@ class Completer:
             batch=batch,
             threads=threads,
             opened=(str(name), str(device), batch),
+            targets=targets,
         )
 
     def __repr__(self) -> str:
@@ -173,18 +178,15 @@ class Completer:
             ]
             first = batch[self.inputs[0]]
 
-            def joined(part: Sequence[Any]) -> Any:
-                """One field of all maps, as these were given."""
-                if part[0] is None:
-                    return None
-                whole = torch.cat(part).reshape(shape)
-                return (
+            arrays = dict[str, Any]()
+            for name in parts[0]:  # of all maps, as these were given
+                whole = torch.cat([part[name] for part in parts])
+                whole = whole.reshape(*shape[:-3], *whole.shape[1:])
+                arrays[name] = (
                     whole.to(first.device) if isinstance(first, Tensor) else whole.numpy(force=True)
                 )
-
-            probability, tudf = map(joined, zip(*parts, strict=True))
             seen = tensors.get("observed")
-            prediction = Prediction(probability, tudf, self.calibration, seen)
+            prediction = Prediction.of(arrays, calibration=self.calibration, observed=seen)
             return check_prediction(prediction, shape, self.name)
 
     @cached_property
@@ -273,11 +275,8 @@ class Completer:
         return tensor
 
     @torch.inference_mode()
-    def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
-        output = self.forward(maps)
-        probability = None if output.logits is None else output.logits.sigmoid()
-        tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
-        return probability, tudf
+    def _complete(self, maps: Batch) -> dict[str, Tensor]:
+        return self.forward(maps).predictions(self.targets, self.grid)
 
 
 @contextmanager

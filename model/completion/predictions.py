@@ -14,11 +14,11 @@ from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
 from scenegen.model.completion.completer import Completer, opened_once
-from scenegen.model.completion.protocol import STORED
 from scenegen.model.completion.stored import (
     DIGEST,
     SAMPLES,
     WHO,
+    about_others,
     check_file,
     digest_of,
     new_hdf5,
@@ -129,11 +129,7 @@ def _write(
             prediction = completer(
                 {name: np.stack([maps[name] for maps in inputs]) for name in names}
             )
-            predicted = {
-                name: values.astype(np.float32)
-                for name in STORED
-                if (values := getattr(prediction, name)) is not None
-            }
+            predicted = prediction.arrays()
             for n, sample in enumerate(batch):
                 maps = {name: values[n] for name, values in predicted.items()}
                 for name, values in maps.items():
@@ -146,5 +142,6 @@ def _write(
         columns[SAMPLES] = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 32)
         for name, values in columns.items():
             file[name] = values
+        about = {**about, **about_others(prediction)}
         file.attrs.update({**about, DIGEST: digest_of(about, columns).hex()})
     return away

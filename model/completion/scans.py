@@ -26,9 +26,10 @@ from scenegen.logs.log import Log
 from scenegen.logs.read import read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
+from scenegen.model.completion.protocol import PARTS, Prediction, check_prediction
 from scenegen.model.completion.stored import (
     DIGEST,
+    about_others,
     check_digest,
     digest_of,
     new_hdf5,
@@ -161,9 +162,8 @@ def predict_scan(
         write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
         about = about_scan(completer, name or scan.name)
-        predicted = {name: getattr(prediction, name) for name in STORED}
-        about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m}
-        _write(out, about, maps | predicted | truth)
+        about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m} | about_others(prediction)
+        _write(out, about, maps | prediction.arrays() | truth)
     return ScanReport(
         points=len(scan.points),
         layout=scan.layout,
@@ -188,8 +188,7 @@ def about_scan(completer: Completer, name: str) -> dict[str, Any]:
 
 
 def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
-    """Write a completion: maps (*grid.shape) but for those that are None."""
-    maps = {name: values for name, values in maps.items() if values is not None}
+    """Write a completion: maps by name."""
     with new_hdf5(out) as file:
         for name, values in maps.items():
             write_map(file, name, values)

@@ -33,6 +33,8 @@ WHO = ("world", "viewpoint")
 """Names of the columns that say which sample a row predicts."""
 SAMPLES = "sha256"
 """Name of the column with the digest of each row."""
+OTHERS = "others"
+"""Name of the attribute with the names of arrays of other targets than `PARTS`, after commas."""
 DIGEST = "digest"
 """Name of the attribute with the digest of the file: of its other attributes, and of its columns or
 maps."""
@@ -90,13 +92,13 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def write_map(file: h5py.File, name: str, values: Any, *, row: int = 0, count: int = 0) -> None:
-    """Write a map (X, Y, Z) as one chunk: as an array of its own, or as a row of one for `count`
-    maps."""
+    """Write a map (X, Y, Z), or (channels, X, Y, Z), as one chunk: as an array of its own, or as a
+    row of one for `count` maps."""
     if name not in file:
         shape = (count, *values.shape) if count else values.shape
         chunks = (1, *values.shape) if count else values.shape
         file.create_dataset(name, shape, values.dtype, chunks=chunks, **PACKED)
-    place = (row, 0, 0, 0) if count else (0, 0, 0)
+    place = (row,) * bool(count) + (0,) * values.ndim
     file[name].id.write_direct_chunk(place, compress(values))
 
 
@@ -166,7 +168,7 @@ def check_file(
         pairs = pairs_in(file)
         for row, pair in enumerate(pairs):
             check_prediction(prediction_at(file, row), shape, f"row {row}")
-            maps = {name: file[name][row] for name in STORED if name in file}
+            maps = {name: file[name][row] for name in arrays_in(file)}
             if sealed and file[SAMPLES][row].tobytes() != sample_digest(pair, maps):
                 raise DatasetError(
                     f"world {pair[0]}, viewpoint {pair[1]} is not as it was written; complete it "
@@ -180,11 +182,13 @@ def _check_arrays(
 ) -> None:
     """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
     one row a sample, at most so many, and maps of this shape."""
-    links = {name: file.get(name, getlink=True) for name in (*columns, *STORED)}
+    others = others_in(file)
+    links = {name: file.get(name, getlink=True) for name in (*columns, *STORED, *others)}
     names = [name for name, link in links.items() if link is not None]
-    if not set(columns) <= set(names) or not set(PARTS) & set(names):
+    if not {*columns, *others} <= set(names) or not set(PARTS) & set(names):
         raise DatasetError(
-            f"expected {', '.join(columns)}, and at least one of {', '.join(PARTS)}; found {names}"
+            f"expected {', '.join((*columns, *others))}, and at least one of {', '.join(PARTS)}; "
+            f"found {names}"
         )
     row_shapes = {"world": (), "viewpoint": (), SAMPLES: (32,)}
     for name in names:
@@ -195,6 +199,8 @@ def _check_arrays(
         if not is_here or data.dtype.kind not in kinds:
             raise DatasetError(f"{name} is no array of {numbers} in this file")
         expected = (*file["world"].shape[:1], *row_shapes.get(name, shape))
+        if name in others and data.ndim == len(expected) + 1:  # which has channels
+            expected = (expected[0], data.shape[1], *shape)
         if data.shape != expected:
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
@@ -220,6 +226,28 @@ def _check_chunks(name: str, data: h5py.Dataset) -> None:
             chunks.read(place)
 
 
+def about_others(prediction: Prediction) -> dict[str, str]:
+    """What a file says of the arrays that it has besides `STORED`; nothing where it has none."""
+    return {OTHERS: ",".join(prediction.others)} if prediction.others else {}
+
+
+def others_in(file: h5py.File) -> list[str]:
+    """Names of the arrays of other targets that a file says it has. Raises DatasetError for names
+    that no target has."""
+    text = str(file.attrs.get(OTHERS, ""))
+    names = text.split(",") if text else []
+    if len(set(names)) < len(names) or not all(
+        name.isidentifier() and name not in (*WHO, SAMPLES, *STORED) for name in names
+    ):
+        raise DatasetError(f"names targets {short(text)}, expected names of arrays after commas")
+    return names
+
+
+def arrays_in(file: h5py.File) -> list[str]:
+    """Names of the arrays that a file predicts."""
+    return [name for name in (*STORED, *others_in(file)) if name in file]
+
+
 def pairs_in(file: h5py.File) -> list[tuple[int, int]]:
     """The sample, (world, viewpoint), of each row."""
     return list(zip(*(file[name][:].tolist() for name in WHO), strict=True))
@@ -227,10 +255,11 @@ def pairs_in(file: h5py.File) -> list[tuple[int, int]]:
 
 def prediction_at(file: h5py.File, row: int) -> Prediction:
     """The prediction in a row."""
-    maps = {name: file[name][row].astype(np.float32) for name in STORED if name in file}
+    maps = {name: file[name][row] for name in arrays_in(file)}
+    maps |= {name: maps[name].astype(np.float32) for name in STORED if name in maps}
     probability = maps.pop("probability", None)
     calibration = None if probability is None else StoredProbability(probability=probability)
-    return Prediction(**maps, calibration=calibration)
+    return Prediction.of(maps, calibration=calibration)
 
 
 def prediction_facts(path: Path) -> dict[str, Any]:
@@ -246,7 +275,7 @@ def _facts(path: Path) -> dict[str, Any]:
             for name in ("method", "split", "dataset")
             if name in file.attrs
         }
-        parts = {name: list(file[name].shape) for name in STORED if name in file}
+        parts = {name: list(file[name].shape) for name in arrays_in(file)}
         if "occupancy" in file and "method" not in about:  # the truth
             raise DatasetError(
                 f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"

@@ -12,7 +12,7 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.files import Json, read_bounded
 from scenegen.base.limits import MOST_EPOCHS, MOST_LINE_BYTES
 from scenegen.model.bench.metrics import METRICS
-from scenegen.model.config import VARIANTS
+from scenegen.model.config import VARIANTS, target_name
 
 Scalars = dict[str, float]
 """Figures of a step or an epoch, by name."""
@@ -87,6 +87,7 @@ def card(name: str, about: Json) -> str:
     network, samples = settings["network"], settings["samples"]
     variant = VARIANTS.get(network["variant"])  # nobody says what a user's own predicts
     outputs = [output for task, output in GIVES.items() if variant and task in variant.tasks]
+    outputs += [target_name(name) for name in network.get("targets", ())]
     gives = f" and gives {' and '.join(outputs)}" if outputs else ""
     shares = [f" (weight {share})" for share in settings.get("shares", ())]
     sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")

@@ -17,7 +17,7 @@ from scenegen.base.executors import chunked
 from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import best_of, ious_by_threshold, judged_by
 from scenegen.model.bench.metrics import METRICS, measure
-from scenegen.model.completion.protocol import Prediction
+from scenegen.model.completion.protocol import PARTS, Prediction
 from scenegen.model.config import Thresholds, TrainConfig
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
@@ -41,7 +41,8 @@ def validate(
     ``best_distance_m``.
     """
     network.eval()
-    loss, usual = loss_of(config.loss, maps.grid), Thresholds()
+    targets: Any = network.targets
+    loss, usual = loss_of(config.loss, maps.grid, targets=targets), Thresholds()
     sums = defaultdict[str, Floats](lambda: np.zeros(2))  # of values, and of how many they are
     largest, ious, judged = 0.0, list[Floats](), ""
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
@@ -53,14 +54,13 @@ def validate(
                 output = Output(*network(placed))
             for name, value in loss(output, placed).items():
                 sums[name] += np.array([value.item() * count, count])
-            predicted: dict[str, Any] = {}
-            if output.logits is not None:
-                predicted["occupancy_probability"] = (
-                    output.logits.float().sigmoid().numpy(force=True)
-                )
+            predicted = {
+                name: values.numpy(force=True)
+                for name, values in output.predictions(targets, maps.grid).items()
+                if name in PARTS
+            }
+            if "occupancy_probability" in predicted:
                 largest = max(largest, float(predicted["occupancy_probability"].max()))
-            if output.tudf is not None:
-                predicted["tudf"] = output.tudf.float().numpy(force=True)
             for n in range(count):
                 prediction = Prediction(**{name: values[n] for name, values in predicted.items()})
                 truth = {name: values[n].numpy() for name, values in batch.items()}

@@ -20,9 +20,10 @@ from scenegen.dataset.collection import check_together, open_data
 from scenegen.dataset.read import AnyDataset
 from scenegen.draw.mixture import fraction
 from scenegen.draw.sample import Sample, rng_of
-from scenegen.model.config import TrainConfig
+from scenegen.model.config import TrainConfig, target_name
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
+from scenegen.model.targets import BUILT_IN, channels_of, target_called, true_map
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper, Sensing
@@ -59,7 +60,7 @@ class Samples(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Sample:
-        """One sample; only its `occupancy`, and what the inputs access, is asked of it."""
+        """One sample; only its `occupancy`, and what inputs and targets access, is asked of it."""
         ...
 
 
@@ -85,6 +86,11 @@ class SplitSamples:
     def __getitem__(self, index: int) -> Sample:
         return self._split[index]
 
+    @property
+    def parts(self) -> list[Mapping[str, Any]]:
+        """The settings of the parts of samples of each dataset."""
+        return [one.manifest.parts for one in self._split.dataset.datasets]
+
 
 def opened(names: Any, split: str) -> list[Samples]:
     """The samples of one split of every dataset that is named. Raises DatasetError for a name of
@@ -107,7 +113,7 @@ def opened(names: Any, split: str) -> list[Samples]:
 
 class Maps(Dataset):
     """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
-    (*grid.shape) each, and the truth, by name.
+    (*grid.shape) each, and the truth of occupancy, distances and `targets`, by name.
 
     ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
     `complete` sees a scan of points. `split` is what the samples are called in
@@ -115,7 +121,11 @@ class Maps(Dataset):
     """
 
     def __init__(
-        self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)
+        self,
+        sources: Sequence[Samples],
+        split: str,
+        inputs: Sequence[str] = ("observed",),
+        targets: Sequence[str] = (),
     ):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
@@ -127,6 +137,7 @@ class Maps(Dataset):
                 )
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
+        self.targets = tuple(dict.fromkeys((*BUILT_IN, *targets)))
         self.grid = sources[0].grid
         self.settings = [one for source in sources for one in settings_of(source)]
         self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
@@ -157,15 +168,24 @@ class Maps(Dataset):
         sensor = getattr(sample, "lidar", None) or source.lidar
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
-        maps["occupancy"] = sample.occupancy
-        # of these voxels, so that of a dataset that stores distances no more is read
-        maps["tudf"] = distance_field(sample.occupancy, source.grid)
+        truth = {name: true_map(name, sample, source.grid) for name in self.targets}
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
-            maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
+            maps["certain"] = truth["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
-        return {name: torch.from_numpy(turned(values, turn)) for name, values in maps.items()}
+        batch = {name: turned(values, turn) for name, values in maps.items()}
+        for name, values in truth.items():
+            batch[target_name(name)] = target_called(name).turned(values, turn)
+        return {name: torch.from_numpy(values) for name, values in batch.items()}
+
+    def channels(self) -> tuple[int, ...]:
+        """How many channels each of the `targets` has that is not built in.
+
+        Raises DatasetError where the sources do not tell, or differ.
+        """
+        parts = [settings for source in self.sources for settings in parts_of(source)]
+        return tuple(channels_of(name, parts) for name in self.targets[len(BUILT_IN) :])
 
     def order(self, batch: int) -> Batches | None:
         """The batches of a stream, whose maps come in its own order; None for datasets, which are
@@ -211,6 +231,14 @@ def settings_of(source: Samples) -> list[Sensing]:
     in one scan a map, without noise."""
     plain = (source.lidar, getattr(source, "mapping", Mapper()), "")
     return [Sensing(*one) for one in getattr(source, "settings", (plain,))]
+
+
+def parts_of(source: Samples) -> list[Mapping[str, Any]]:
+    """The settings of the parts of samples, such as labels, of every part of a source; a user's own
+    has `parts`, a list of them, or none."""
+    if isinstance(source, Stream):
+        return [component.recipe.parts for component in source.mixture.components]
+    return getattr(source, "parts", [{}])
 
 
 def check_alike(sources: Sequence[Samples]) -> None:

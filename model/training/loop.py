@@ -30,9 +30,11 @@ from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
 from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
+from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
-from scenegen.model.losses import loss_of
+from scenegen.model.losses import loss_of, summed
 from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
@@ -90,11 +92,14 @@ def train(
     `out`.
     """
     watcher, where = watcher or Watcher(), choose_device(device)
-    maps = Maps(training, "train", config.network.inputs)
-    checks = Maps(checking, "val", config.network.inputs)
-    variant = config.network.variant
+    channels = config.network.inputs, config.network.targets
+    maps, checks = Maps(training, "train", *channels), Maps(checking, "val", *channels)
+    variant, sizes = config.network.variant, dict[str, Any]()
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
-        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
+        sizes["height"] = maps.grid.shape[2]
+    if config.network.targets:
+        sizes["channels"] = maps.channels()
+    config = replace(config, network=replace(config.network, **sizes))
     precision = config.precision
     if precision == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
         precision = RunFolder(out).settings()["precision"]
@@ -169,8 +174,10 @@ class Step:
     group: Group
 
     def __post_init__(self) -> None:
-        self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
-        model = self.network
+        targets: Any = self.network.targets
+        self._loss = loss_of(self.config.loss, self.grid, self.group.divisor, targets)
+        self._own = hasattr(self.network, "training_step")
+        model = OwnStep(self.network) if self._own else self.network
         if self.group.size > 1:
             if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
@@ -204,13 +211,26 @@ class Step:
         }
         self.optimizer.zero_grad()
         with autocast(self.group.device, self.group.precision):
-            output = Output(*self._model(batch))
-        losses = self._loss(output, batch)
+            given = self._model(batch)
+        losses = summed(given) if self._own else self._loss(Output(*given), batch)
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
+
+
+class OwnStep(nn.Module):
+    """The `training_step` of a user's own network as a forward pass, which several processes
+    share."""
+
+    def __init__(self, network: Any):
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: Batch) -> Any:
+        """The losses of a batch."""
+        return self.network.training_step(batch)
 
 
 class Muon(torch.optim.AdamW):
@@ -318,35 +338,43 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:
-    """Raise TrainingError where a network or a loss of a user's own does not say of one map what it
-    should; what comes with scenegen is not tried."""
+    """Raise TrainingError where a network, a target or a loss of a user's own does not say of one
+    map what it should; what comes with scenegen is not tried."""
     variant, objective = config.network.variant, config.loss.objective
-    if not (is_own(variant) or is_own(objective)):
+    if not (is_own(variant) or is_own(objective) or config.network.targets):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    output = network.eval()(batch)
-    parts = output if isinstance(output, tuple) else (output,)
-    shapes = [getattr(part, "shape", part) for part in parts]
-    shape = (1, *maps.grid.shape)
-    expected = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
-    if shapes != expected or (expected[1] and parts[1].min() < 0):
+    raw = network.eval()(batch)
+    output = Output(*raw) if isinstance(raw, tuple) and len(raw) in (2, 3) else Output(raw, None)
+    shapes = {name: getattr(values, "shape", values) for name, values in output.by_target.items()}
+    expected = {}
+    for name in network.targets:
+        channels = config.network.channels_of(name)
+        expected[name] = (1, *[channels] * (channels > 1), *maps.grid.shape)
+    if shapes != expected or (output.tudf is not None and output.tudf.min() < 0):
         raise TrainingError(
             f"variant {variant}: gives {shapes!r:.200}, expected {expected}, by its `tasks`, and "
             "no negative distance"
         )
+    if not shapes.keys() & BUILT_IN.keys():
+        raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
+    with torch.no_grad(), raised_as(TrainingError, of=PredictionError):
+        predicted = Prediction.of(output.predictions(network.targets, maps.grid))
+        check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():
         if value.dtype not in DTYPES:
             raise TrainingError(
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
-    terms = loss_of(config.loss, maps.grid)(Output(*output), batch)
-    for name, value in terms.items():
+    terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
+    steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
+    for name, value in [*terms.items(), *steps.items()]:
         if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, *RESERVED}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"
             )
-    if not terms["loss"].requires_grad:
+    if not (steps or terms)["loss"].requires_grad:
         raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
     if config.choose not in (*terms, "last"):
         raise TrainingError(

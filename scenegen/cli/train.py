@@ -32,6 +32,7 @@ from scenegen.model.config import (
     LOSSES,
     NETWORKS,
     PROTOCOLS,
+    TARGETS,
     UNITS,
     LossConfig,
     NetworkConfig,
@@ -129,6 +130,14 @@ class Weighted(click.ParamType):
     default=NetworkConfig.inputs,
     help=f"A channel that it takes: {', '.join(INPUTS.builtin)}, or MODULE:FUNCTION; repeatable.",
 )
+@click.option(
+    "--target",
+    "targets",
+    type=Named(TARGETS),
+    multiple=True,
+    help="What it predicts besides its variant's occupancy and distances: MODULE:CLASS; "
+    "docs/own-network.md; repeatable.",
+)
 @options_of(NetworkConfig, width="Channels at the first level.")
 @click.option(
     "--weights",
@@ -175,7 +184,7 @@ class Weighted(click.ParamType):
 )
 @out_option("The run's folder.  [default: runs/<variant>]")
 @printing
-@group("Network", "variant input width weights")
+@group("Network", "variant input target width weights")
 @group("Loss", "loss lambda-occupancy lambda-tudf eikonal occupied-weight lovasz beta")
 @group(
     "Training",

@@ -25,8 +25,8 @@ def seen(batch):
 def test_every_variant_predicts_its_tasks_at_full_size(variant):
     output = network(variant=variant)(seen(2))
     assert (output.logits is None, output.tudf is None) == (variant == "tudf", variant == "occ")
-    for part in output:
-        assert part is None or part.shape == (2, *SHAPE)
+    for part in output.by_target.values():
+        assert part.shape == (2, *SHAPE)
     assert output.tudf is None or (output.tudf >= 0).all()
 
 

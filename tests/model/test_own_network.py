@@ -99,13 +99,14 @@ from scenegen.model.network import Output
 from my_net import Net
 class Flat(Net):
     def forward(self, batch):
-        return Output(*(part[..., 0] for part in super().forward(batch)))
+        output = super().forward(batch)
+        return Output(output.logits[..., 0], output.tudf[..., 0])
 class Blind(Net):
     tasks = ("occupancy",)
 class Negative(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
-        return Output(logits, -tudf)
+        output = super().forward(batch)
+        return Output(output.logits, -output.tudf)
 class Peeking(Net):
     def forward(self, batch):
         return super().forward(batch) if "occupancy" in batch else Output(None, "shown no truth")
@@ -123,9 +124,16 @@ class Seeing(Net):
 class Broken(Net):
     def forward(self, batch):
         raise KeyError("gone")
+class Twice(Net):
+    def training_step(self, batch):
+        passes = [self(batch).logits for _ in range(2)]
+        apart = torch.nn.functional.mse_loss(*passes)
+        return {"occupied": (passes[0][batch["occupancy"]] - 3).square().mean(), "apart": apart}
+class Stuck(Net):
+    def training_step(self, batch): return torch.zeros(())
 class Branching(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
+        logits, tudf, _ = super().forward(batch)
         return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
 def plain(config): return 3
 def detached(output, batch): return output.logits.detach().mean()
@@ -140,10 +148,11 @@ SAID = r"""
 {"variant": "wrong:Flat"}                        → variant wrong:Flat: gives .*expected
 {"variant": "wrong:Blind"}                       → by its `tasks`
 {"variant": "wrong:Negative"}                    → no negative distance
-{"variant": "wrong:Peeking"}                     → gives .None, 'shown no truth'
+{"variant": "wrong:Peeking"}                     → gives .'tudf': 'shown no truth'
 {"variant": "wrong:Masked"}                      → mask is torch.bool, expected float32 or int64
 {"objective": "wrong:detached"}                  → no weight of variant my_net:Net changes it
 {"variant": "wrong:Gone"}                        → has no Gone
+{"variant": "wrong:Stuck"}                       → no weight of variant wrong:Stuck changes it
 {"objective": "wrong:vector"}                    → iou is .*no metric has
 {"objective": "wrong:Scaled", "choose": "occupancy"} → the loss has no such term, but loss
 {"inputs": ["wrong:short"]}   → input wrong:short: gives an array of shape \(23, 24, 16\)
@@ -164,6 +173,16 @@ def test_an_error_of_ones_own_network_names_its_line(here, capsys):
     (here / "wrong.py").write_text(WRONG)
     words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Broken"
     assert "of wrong.py: KeyError" in refused(capsys, words)
+
+
+def test_a_network_may_have_a_training_step_of_its_own(here):
+    (here / "wrong.py").write_text(WRONG)
+    config = TrainConfig.of({"variant": "wrong:Twice", "width": 4, "epochs": 4, "lr": 0.01})
+    first, *_, last = train([here / "data" / "pillar"], config, here / "run")
+    assert last["train_occupied"] < first["train_occupied"]
+    assert last["train_apart"] == 0
+    assert "val_occupied" not in last
+    assert {"val_occupancy", "val_regression"} <= last.keys()
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from scenegen.cli.complete import complete_scans
 from scenegen.dataset.read import Dataset
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, summary
+from scenegen.model.completion.scans import predict_scan, read_scan, summary
 from scenegen.model.config import Thresholds
 from tests.model.conftest import completer_of
 
@@ -94,12 +94,12 @@ def test_damaged_predictions_are_made_again_and_refused_by_the_bench(
 ):
     monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
     out = tmp_path / "p"
-    predict_split(net, folders[0], "test", out)
+    predict_split(net, Dataset(folders[0]), "test", out)
     whole = {path.name: path.read_bytes() for path in out.iterdir()}
     damage(out / "test-00000.h5")
     with pytest.raises(DatasetError, match=r"p\S*: "):
         Predicted(out).check(Dataset(folders[0]), "test")
-    assert predict_split(net, folders[0], "test", out).damaged == ["test-00000.h5"]
+    assert predict_split(net, Dataset(folders[0]), "test", out).damaged == ["test-00000.h5"]
     assert {path.name: path.read_bytes() for path in out.iterdir()} == whole
 
 
@@ -109,14 +109,14 @@ def test_damaged_completions_of_scans_are_made_again(net, tmp_path, capsys):
         np.save(tmp_path / f"{name}.npy", np.full((4, 3), at))
         given[name] = read_scan(tmp_path / f"{name}.npy", [0, 0, 0])
     out, tasks = tmp_path / "out", [(name, lambda name=name: given[name]) for name in given]
-    complete_all(net, (2, tasks), out, 1, True)
+    complete_scans(net, 2, tasks, out, True)
     whole = {path.name: path.read_bytes() for path in out.glob("*.h5")}
     with h5py.File(out / "a.h5", "a") as file:
         file["tudf"][1, 2, 3] += 1e-3
-    complete_all(net, (2, tasks), out, 1, True)
+    complete_scans(net, 2, tasks, out, True)
     assert capsys.readouterr().err.count("completed again") == 1
     (out / "b.h5").write_bytes(whole["a.h5"])  # whole, and of another scan
-    complete_all(net, (2, tasks), out, 1, True)
+    complete_scans(net, 2, tasks, out, True)
     assert capsys.readouterr().err.count("completed again") == 1
     assert {path.name: path.read_bytes() for path in out.glob("*.h5")} == whole
 
