@@ -113,7 +113,7 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
 def keep_memory() -> None:
     """Have up to 64 MB of freed memory stay with this process and those that it begins, for the
     next shard takes as much: pages that are given back and taken anew cost the system time
-    (docs/log.md). For programs, not libraries."""
+    (docs/log). For programs, not libraries."""
     import ctypes
 
     library = ctypes.CDLL(None)

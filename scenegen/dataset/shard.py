@@ -31,7 +31,7 @@ from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1
 """The level of compression: the next one saves a hundredth, the one after takes four times as long
-(docs/log.md)."""
+(docs/log)."""
 _FIRST = 4
 """Bytes of a block that ISA-L is fed before the rest: the fewest that begin its history."""
 
