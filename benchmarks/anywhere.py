@@ -51,7 +51,7 @@ class PointsAlone:
 
 
 def main() -> None:
-    """Measure every condition, and write the page's tables."""
+    """Measure every condition, and write the tables."""
     given = measuring.parse(Options, maps=2, trials=2, network=["columns"])
     methods = [*rows_of(["extrude"], given.network), Truth()]
     alone = [PointsAlone(one, one.name) for one in methods[1:-1]]
