@@ -88,7 +88,7 @@ class Store:
         scheme, rest = match["scheme"], match["rest"].rstrip("/")
         if "@" in rest.partition("/")[0]:
             raise DatasetError(
-                f"{scheme}://…@…: a name holds no credentials; give them as docs/stores.md says"
+                f"{scheme}://…@…: a name holds no credentials; give them as docs/cluster.md says"
             )
         if (
             {"", ".", ".."} & {*rest.split("/")}

@@ -1,4 +1,4 @@
-"""Check a dataset folder against docs/format.md: docs/checks.md says what each check proves, and
+"""Check a dataset folder against docs/format.md: docs/verify.md says what each check proves, and
 what it cannot see."""
 
 from scenegen.verification.check import Check
