@@ -1,6 +1,6 @@
 """How networks do at home, and under conditions that the first of them never met.
 
-    python benchmarks/anywhere.py --network anywhere columns    # docs/results/anywhere.md
+    python benchmarks/anywhere.py --network anywhere columns    # docs/results/networks.md
 
 Worlds are of the two kinds that `columns` learned from. The conditions: the sensor as it is; five
 scans fused; flights close to the ground; a spinning sensor with noise that loses a twentieth of its
@@ -51,7 +51,7 @@ class PointsAlone:
 
 
 def main() -> None:
-    """Measure every condition, and write the page's tables."""
+    """Measure every condition, and write the tables."""
     given = measuring.parse(Options, maps=2, trials=2, network=["columns"])
     methods = [*rows_of(["extrude"], given.network), Truth()]
     alone = [PointsAlone(one, one.name) for one in methods[1:-1]]

@@ -1,7 +1,7 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
     python benchmarks/elsewhere.py MAPS                           # docs/results/elsewhere.md
-    python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md    # a quick look
+    python benchmarks/elsewhere.py --maps 5 --figures /tmp/try.csv    # a quick look
 
 MAPS is the folder of maps of real places that `real.py` takes; their flights are those of
 `real.py`, and they have a part in the first table alone.

@@ -70,13 +70,13 @@ class Options(measuring.Options):
     robots: Sequence[str] = ROBOTS
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """of the vehicle"""
-    page: Path | None = None
+    figures: Path | None = None
 
 
 def main() -> None:
-    """Fly what is missing; print the tables, and write them to the page."""
+    """Fly what is missing; print the tables, and write them beside the page."""
     given = measuring.parse(Options, every=300, robots=["reactive", "optimistic"])
-    given.page = given.page or RESULTS / ("fly-real.md" if given.maps else "fly.md")
+    given.figures = given.figures or RESULTS / ("fly-real.csv" if given.maps else "fly.csv")
     with tempfile.TemporaryDirectory() as spare:
         every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
         courses = [

@@ -1,6 +1,6 @@
 """Published completion networks, written again from their papers, trained on the maps of ours.
 
-    python benchmarks/peers.py MAPS --runs /tmp/peers     # docs/results/peers.md
+    python benchmarks/peers.py MAPS --runs /tmp/peers     # docs/results/networks.md
 
 `LMSCNet`, `SSCNet` and our `columns` begin with random weights, and learn from the same maps of
 `anywhere.toml`, in the same order, by the same loss. A run that is there goes on to so many maps.

@@ -301,7 +301,7 @@ class TrainConfig:
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where
     the device has instructions for it."""
     compile: bool = False
-    """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
+    """Whether to run the network through torch.compile: slower on CPUs (docs/log)."""
 
     def __post_init__(self) -> None:
         check(self)

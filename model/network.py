@@ -106,7 +106,7 @@ def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
 
 def prefers_bfloat16() -> bool:
     """Whether this machine's processor is faster in bfloat16 than in float32: with AMX, and one of
-    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log.md)."""
+    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log)."""
     has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
     return bool(has.get("amx_bf16" if "Intel" in processor() else "avx512_bf16"))
 
@@ -337,7 +337,7 @@ class _Direct:
 
     On a CPU, torch leaves a batch of one small map to a path that takes four times as long, and
     rounds otherwise, than that of larger batches: oneDNN, which is asked for all of them here
-    (docs/log.md).
+    (docs/log).
     """
 
     def forward(self: Any, x: Tensor) -> Tensor:

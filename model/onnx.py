@@ -37,7 +37,7 @@ LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 BYTES_A_FEATURE = 100
 """What a runtime takes for two maps, at most: bytes a voxel and channel at the first level."""
 RUNTIMES = ("openvino", "onnxruntime")
-"""Fastest first (docs/export.md)."""
+"""Fastest first (docs/complete.md)."""
 Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 

@@ -9,9 +9,9 @@ import pytest
 from tests.command_line import example, page, refused, rows
 
 FILES = {
-    "own-sensor.md": "my_lidar.toml my_rays.toml my_sensor.py my.toml",
+    "sensor.md": "my_lidar.toml my_rays.toml my_sensor.py my.toml",
     "noise.md": "my_noise.py",
-    "engines.md": "my_engine.py make.py",
+    "simulation.md": "my_engine.py make.py",
 }
 """What the pages show."""
 SMALL = """petals = 5.7

@@ -26,7 +26,6 @@ from scenegen.model.bench.report import PAPER, TUNED, summaries
 from scenegen.model.bench.run import DatasetResult
 from scenegen.model.bench.statistics import (
     Estimate,
-    brief,
     caution,
     estimate,
     holm,
@@ -318,8 +317,6 @@ def gain(
     return estimate(sums, measured.worlds_of(metric), of)
 
 
-SHOWN = ("iou", "near_rmse", "success")
-"""The figures of every row; all others stand in the JSON."""
 RULE = f"""
 A claim says that one of the paper's methods is better than another, by one metric, on one kind of
 worlds. Each bold cell of the paper's tables gives a claim against every row that is worse. The
@@ -351,20 +348,16 @@ def to_markdown(study: Json) -> str:
         RULE,
         f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
         f"scale {settings['scale']:g}. Each saw {settings['maps'] * settings['scale']:.0f} maps at "
-        f"most. Training took {hours:.1f} hours on {devices}. `study.json` has all figures, also "
-        "those of each pair of seeds.",
+        f"most. Training took {hours:.1f} hours on {devices}. [study.json](study.json) has all "
+        "figures: means of every run with intervals, each pair of seeds, and comparisons that "
+        "the paper does not make.",
     ]
     if study["missing"]:
         names = ", ".join(f"`{name}`" for name in study["missing"])
         blocks.append(f"**Not trained**: {names}. Claims without networks are left out below.")
     for kind in study["worlds"]:
         blocks += _of_kind(study, kind)
-    spent = []
-    for name, run in runs.items():
-        maps = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
-        spent.append((f"`{name}`", (run["asks"], maps, f"{run['sha256'][:12]}…")))
-    heads = ("what for", "maps seen of samples, hours", "weights")
-    return "\n\n".join([*blocks, "## Runs", markdown(heads, spent)]) + "\n"
+    return "\n\n".join(blocks) + "\n"
 
 
 def _counts(verdicts: Mapping[str, int]) -> str:
@@ -378,20 +371,11 @@ def _of_kind(study: Json, kind: str) -> list[str]:
     for title, claims in (
         ("The paper's claims:", study["claims"]),
         ("Claims about paths, over trials where both methods have a path:", study["paths"]),
-        ("Comparisons that the paper does not make:", study["beside"]),
     ):
         tried = [claim for claim in claims if claim["kind"] == kind and claim["pairs"]]
         heads = ("verdict", "p (Holm)", "difference [95 % interval]")
         blocks += [title, markdown(heads, map(_judged, tried))]
-    means = [
-        (row, [brief(figures[name]) for name in SHOWN])
-        for row, figures in study["means"][kind].items()
-    ]
-    return [
-        *blocks,
-        "Means over test maps and trials, with 95 % intervals:",
-        markdown([ALL[name].label for name in SHOWN], means),
-    ]
+    return blocks
 
 
 def _judged(claim: Json) -> tuple[str, Sequence[str]]:

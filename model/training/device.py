@@ -57,7 +57,7 @@ def resolve_precision(
 
     "auto" is bfloat16 where that is faster. On a CPU it is float32 for maps whose coarsest level
     has but a few cells, too: there oneDNN's gradient of a convolution's filters in bfloat16 depends
-    on what its memory held before (docs/log.md).
+    on what its memory held before (docs/log).
     """
     if precision == "auto":
         if device.type == "cuda":

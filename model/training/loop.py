@@ -237,7 +237,7 @@ class Muon(torch.optim.AdamW):
     """Filters of convolutions by Muon (Jordan et al. 2024), everything else by AdamW.
 
     A step moves filters along their momentum, made orthogonal. It is three times as long as AdamW's
-    would be (once in Liu et al. 2025), which is better from random weights (docs/log.md).
+    would be (once in Liu et al. 2025), which is better from random weights (docs/log).
     """
 
     MOMENTUM = 0.95

@@ -94,7 +94,7 @@ class Store:
         scheme, path = match["scheme"], match["rest"].rstrip("/")
         if "@" in path.partition("/")[0]:
             raise DatasetError(
-                f"{scheme}://…@…: a name holds no credentials; give them as docs/stores.md says"
+                f"{scheme}://…@…: a name holds no credentials; give them as docs/cluster.md says"
             )
         if (
             {"", ".", ".."} & {*path.split("/")}

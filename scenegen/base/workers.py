@@ -86,7 +86,7 @@ def keep_memory() -> None:
     """Keep up to 64 MB of freed memory in this process and its children, as the next shard needs as
     much.
 
-    Returning pages to the system and taking them again costs time (docs/log.md). For programs, not
+    Returning pages to the system and taking them again costs time (docs/log). For programs, not
     for libraries.
     """
     import ctypes

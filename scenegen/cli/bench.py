@@ -170,7 +170,7 @@ QUICK = {"samples": 50, "trials": 200}
 )
 @options_of(
     BenchConfig,
-    reliability="Also measure how reliable probabilities are. See docs/reliability.md.",
+    reliability="Also measure how reliable probabilities are. See docs/metrics.md.",
     seed="Decides the goals.",
 )
 @options_of(

@@ -31,7 +31,7 @@ from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1
 """Compression level. The next one saves one percent, the one after takes four times as long
-(docs/log.md)."""
+(docs/log)."""
 _FIRST = 4
 """Bytes that ISA-L gets before the rest of a block: the minimum that starts its history."""
 

@@ -1,4 +1,4 @@
-"""Check a dataset folder against docs/format.md. docs/checks.md describes what each check proves,
+"""Check a dataset folder against docs/format.md. docs/verify.md describes what each check proves,
 and what it cannot detect."""
 
 from scenegen.verification.check import Check

@@ -1,4 +1,4 @@
-"""docs/checks.md lists every check, docs/verify.md says how to write one's own."""
+"""docs/verify.md lists every check, and says how to write one's own."""
 
 import re
 
@@ -7,11 +7,11 @@ import pytest
 from scenegen.base.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import page, run
+from tests.command_line import example, page, run
 
 
 def test_the_table_has_the_checks_in_order():
-    rows = re.findall(r"^\| `([a-z -]+)` \| (yes)? *\| ", page("checks.md"), re.MULTILINE)
+    rows = re.findall(r"^\| `([a-z -]+)` \| (yes)? *\| ", page("verify.md"), re.MULTILINE)
     assert rows == [(check.name, "yes" if check.quick else "") for check in CHECKS]
 
 
@@ -22,7 +22,7 @@ bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
 
 
 def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
-    code = page("verify.md").split("```python\n")[-1].split("```")[0]
+    code = example("verify.md", "high = Check")
     (tmp_path / "my_checks.py").write_text(code + OWN)
     monkeypatch.chdir(tmp_path)
     own = [f"my_checks:{name}" for name in ("high", "low", "bad")]

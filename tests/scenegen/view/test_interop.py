@@ -1,4 +1,4 @@
-"""The recipes of docs/interop.md do what they say."""
+"""The recipes of docs/convert.md do what they say."""
 
 import io
 import re
@@ -16,7 +16,7 @@ import scenegen
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT
 
-PAGE = (ROOT / "docs" / "interop.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "convert.md").read_text(encoding="utf-8")
 BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
