@@ -41,7 +41,7 @@ from tyro.conf import Positional
 
 from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Prediction, preset
-from scenegen.base.files import sha256_of
+from scenegen.base.reading import sha256_of
 from scenegen.draw.scored import scored_voxels
 from scenegen.fly.suite import MAPS
 from scenegen.model.bench.methods import Method, Truth, rows_of

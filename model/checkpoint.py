@@ -17,8 +17,9 @@ from torch import Tensor
 
 from lidarsim import GridSpec
 from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as, short
-from scenegen.base.files import Json, read_bounded, write_whole
+from scenegen.base.files import Json, write_whole
 from scenegen.base.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.model.config import NetworkConfig, is_own
 from scenegen.model.network import build
 

@@ -21,8 +21,9 @@ from torch import Tensor, nn
 
 from lidarsim.grid import Field, GridSpec
 from scenegen.base.errors import GuardError, needs, printable, raised_as
-from scenegen.base.files import Json, check_ours, read_bounded, write_result
+from scenegen.base.files import Json, check_ours, write_result
 from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.base.workers import guarded
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig, target_name

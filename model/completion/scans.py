@@ -18,9 +18,10 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from scenegen.base.errors import DatasetError, plural, raised_as
-from scenegen.base.files import check_ours, make_way, read_bounded, write_whole
+from scenegen.base.files import check_ours, make_way, write_whole
 from scenegen.base.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.base.paths import is_log
+from scenegen.base.reading import read_bounded
 from scenegen.logs import LogScan
 from scenegen.logs.log import Log
 from scenegen.logs.read import read_log

@@ -12,8 +12,9 @@ import h5py
 import numpy as np
 
 from scenegen.base.errors import DatasetError, GuardError, printable, raised_as, short
-from scenegen.base.files import open_bounded, whole
+from scenegen.base.files import whole
 from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.base.reading import open_bounded
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import READ_ERRORS, Chunks
 from scenegen.dataset.shard import compress

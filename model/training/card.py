@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.base.errors import DatasetError
-from scenegen.base.files import Json, read_bounded
+from scenegen.base.files import Json
 from scenegen.base.limits import MOST_EPOCHS, MOST_LINE_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.model.bench.metrics import METRICS
 from scenegen.model.config import VARIANTS, target_name
 

@@ -16,8 +16,9 @@ from torch import nn
 
 from lidarsim import GridSpec
 from scenegen.base.errors import DatasetError, printable
-from scenegen.base.files import Json, disk_told, read_bounded, remove_drafts, write_whole
+from scenegen.base.files import Json, disk_told, remove_drafts, write_whole
 from scenegen.base.limits import MOST_HEADER_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.dataset.parameters import differences, plain
 from scenegen.model.checkpoint import (
     CheckpointError,

@@ -18,13 +18,7 @@ from typing import Any, BinaryIO
 from scenegen.base.errors import DatasetError, DiskError
 from scenegen.base.executors import LOCATED, undone
 from scenegen.base.limits import MOST_MANIFEST_BYTES
-from scenegen.base.reading import open_bounded as open_bounded
-from scenegen.base.reading import pread as pread
-from scenegen.base.reading import read_bounded as read_bounded
-from scenegen.base.reading import sha256_in as sha256_in
-from scenegen.base.reading import sha256_of as sha256_of
-from scenegen.base.reading import size_of as size_of
-from scenegen.base.reading import world_digest as world_digest
+from scenegen.base.reading import read_bounded, sha256_of
 
 PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
 """Folders inside a dataset that hold a thousand shards each."""
@@ -79,8 +73,16 @@ def writable(folder: Path) -> Path:
     return existing
 
 
+PARTS_OF_FOLDERS = re.compile(
+    r"(dataset|collection|predictions|completions)\.json|rays\.npy|metrics\.csv"
+    r"|(train|val|test)-[0-9]+\.(h5|worlds\.zip)"
+)
+"""Names of files that make a folder a dataset, predictions or a run. No result replaces one, though
+scenegen wrote it: the folder would be lost."""
+
+
 def check_ours(path: Path) -> None:
-    """Check that `path` is free, or a file that scenegen wrote and nobody changed since.
+    """Check that `path` is free, or a result that scenegen wrote and nobody changed since.
 
     On a file system without extended attributes, no existing file counts as ours.
 
@@ -93,6 +95,10 @@ def check_ours(path: Path) -> None:
     """
     check_target(path)
     writable(path.parent)
+    if path.exists() and PARTS_OF_FOLDERS.fullmatch(path.name):
+        raise DatasetError(
+            f"{path}: is a file of a dataset, of predictions or of a run; give another name"
+        )
     if path.exists() and not _is_marked(path):
         raise DatasetError(
             f"{path}: is there already, and not as scenegen wrote it; remove it, or give another "

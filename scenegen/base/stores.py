@@ -23,7 +23,8 @@ from scenegen.base.errors import (
     needs,
     printable,
 )
-from scenegen.base.files import names_in, read_bounded, write_whole
+from scenegen.base.files import names_in, write_whole
+from scenegen.base.reading import read_bounded
 
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
 ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")

@@ -13,14 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.base.files import (
-    check_ours,
-    disk_told,
-    make_parent,
-    read_bounded,
-    write_result,
-    write_whole,
-)
+from scenegen.base.files import check_ours, disk_told, make_parent, write_result, write_whole
 from scenegen.base.limits import (
     MOST_ARCHIVE_BYTES,
     MOST_ASSET_BYTES,
@@ -28,6 +21,7 @@ from scenegen.base.limits import (
     MOST_DOCUMENT_BYTES,
     MOST_MEMBERS,
 )
+from scenegen.base.reading import read_bounded
 
 MEMBER = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
 """Name of a world's document in an archive."""

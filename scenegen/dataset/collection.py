@@ -16,9 +16,10 @@ from msgspec import Meta, Struct
 
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, printable, short
-from scenegen.base.files import read_bounded, sha256_of, write_whole
+from scenegen.base.files import write_whole
 from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SOURCES
 from scenegen.base.paths import DATA, check_type
+from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import is_remote
 from scenegen.dataset.locate import locate
 from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split

@@ -13,8 +13,9 @@ from lidarsim import GridSpec, Sensor
 from lidarsim.noise import STAGES
 from scenegen import SPLITS
 from scenegen.base.errors import BrokenError, NewerError, RecipeError, raised_as, short
-from scenegen.base.files import Json, sha256_of
+from scenegen.base.files import Json
 from scenegen.base.limits import MOST_RAYS_IN_SAMPLE, MOST_VIEWPOINTS, MOST_VOXELS
+from scenegen.base.reading import sha256_of
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.parameters import (
     check_sensor_entry,

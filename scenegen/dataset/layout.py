@@ -20,8 +20,8 @@ import msgspec
 import numpy as np
 
 from scenegen.base.errors import BrokenError, DatasetError, raised_as, short
-from scenegen.base.files import open_bounded, sha256_in, size_of
 from scenegen.base.mirrors import fetch
+from scenegen.base.reading import open_bounded, sha256_in, size_of
 from scenegen.draw.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"

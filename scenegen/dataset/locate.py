@@ -11,9 +11,9 @@ from pathlib import Path
 
 from scenegen.base.errors import DatasetError, StoreError, needs, printable
 from scenegen.base.executors import LOCATED
-from scenegen.base.files import sha256_in
 from scenegen.base.limits import MOST_MANIFEST_BYTES
 from scenegen.base.mirrors import fetch_all, make_mirror, note_files
+from scenegen.base.reading import sha256_in
 from scenegen.base.stores import Store, is_remote
 from scenegen.dataset import manifest
 from scenegen.dataset.parameters import rays_digest

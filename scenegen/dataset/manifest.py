@@ -24,8 +24,9 @@ from scenegen.base.errors import (
     printable,
     short,
 )
-from scenegen.base.files import sha256_of, write_whole
+from scenegen.base.files import write_whole
 from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.reading import sha256_of
 from scenegen.base.stores import ConflictError, Place, Store, read_at
 from scenegen.dataset.contract import Manifest as Manifest
 from scenegen.dataset.contract import groups_of as groups_of

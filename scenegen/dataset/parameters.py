@@ -21,7 +21,8 @@ from lidarsim.noise import VERSION as NOISE_VERSION
 from lidarsim.parameters import MOST_RAYS, MOST_SHOWN, MOST_TEXT
 from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
 from scenegen.base.errors import BrokenError, DatasetError, NewerError, printable, raised_as, short
-from scenegen.base.files import Json, read_bounded, sha256_of
+from scenegen.base.files import Json
+from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import Place, create_at, read_at
 from scenegen.dataset.schema import NoiseEntry, RecipeEntry
 from scenegen.worlds.mapping import Mapper

@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 import msgspec
 
 from scenegen.base.errors import DatasetError
-from scenegen.base.files import read_bounded, sha256_of, write_whole
+from scenegen.base.files import write_whole
 from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
+from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import Place, Store
 from scenegen.dataset.schema import ShardEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of

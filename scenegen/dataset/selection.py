@@ -20,7 +20,7 @@ from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, ScenegenError, short
 from scenegen.base.executors import chunked
-from scenegen.base.files import read_bounded
+from scenegen.base.reading import read_bounded
 from scenegen.base.workers import run
 from scenegen.dataset.collection import SelectedDataset, SelectionFile, name_from
 from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split

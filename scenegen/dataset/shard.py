@@ -19,7 +19,7 @@ import numpy as np
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.base.errors import BrokenError, DatasetError, raised_as
-from scenegen.base.files import sha256_in, sha256_of
+from scenegen.base.reading import sha256_in, sha256_of
 from scenegen.base.stores import Place, create_at
 from scenegen.base.workers import Worker
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard

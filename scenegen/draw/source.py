@@ -17,7 +17,7 @@ from numpy.random import Generator
 
 from scenegen import SPLITS
 from scenegen.base.errors import BrokenError, RecipeError, SceneError, plural, printable, raised_as
-from scenegen.base.files import Json, real_path, world_digest
+from scenegen.base.files import Json, real_path
 from scenegen.base.limits import (
     MOST_ARCHIVE_BYTES,
     MOST_GEOMS,
@@ -26,6 +26,7 @@ from scenegen.base.limits import (
     SCENE_SECONDS,
 )
 from scenegen.base.paths import CLOUDS, MAPS, MESHES
+from scenegen.base.reading import world_digest
 from scenegen.base.workers import Limited, run
 from scenegen.worlds.classes import By
 from scenegen.worlds.labels import class_names

@@ -20,8 +20,9 @@ from lidarsim.sensors import RASTER
 from scenegen import __version__
 from scenegen.base.errors import DatasetError, GenerationError, printable
 from scenegen.base.executors import processor
-from scenegen.base.files import Json, read_bounded
+from scenegen.base.files import Json
 from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SEED
+from scenegen.base.reading import read_bounded
 from scenegen.draw.source import named_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike

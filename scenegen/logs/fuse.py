@@ -22,15 +22,9 @@ from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
 from scenegen.base.errors import DatasetError, SceneError
 from scenegen.base.executors import Counted, unheard
-from scenegen.base.files import (
-    check_free,
-    disk_told,
-    make_parent,
-    remove_drafts,
-    sha256_of,
-    write_whole,
-)
+from scenegen.base.files import check_free, disk_told, make_parent, remove_drafts, write_whole
 from scenegen.base.limits import MOST_PLACE_VOXELS
+from scenegen.base.reading import sha256_of
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.log import Log
 from scenegen.truth.voxels import resample

@@ -20,9 +20,10 @@ import numpy as np
 
 from scenegen import GENERATOR, SPLITS
 from scenegen.base.errors import DatasetError, GenerationError, RecipeError, SceneError, short
-from scenegen.base.files import Json, sha256_of
+from scenegen.base.files import Json
 from scenegen.base.limits import MOST_UNITS_IN_ROUND
 from scenegen.base.paths import WORLD_FILES
+from scenegen.base.reading import sha256_of
 from scenegen.base.workers import MOST_REPLACED, Worker
 from scenegen.dataset.build import recipe_entry
 from scenegen.dataset.shard import Units, find_engine

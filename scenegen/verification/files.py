@@ -8,7 +8,8 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, printable, raised_as, short
-from scenegen.base.files import names_in, sha256_in, world_digest
+from scenegen.base.files import names_in
+from scenegen.base.reading import sha256_in, world_digest
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
 from scenegen.dataset.manifest import Manifest

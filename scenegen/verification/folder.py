@@ -11,8 +11,8 @@ import msgspec
 
 from scenegen.base.errors import DatasetError, raised_as, told
 from scenegen.base.executors import Begun, Counted, Executor, unheard
-from scenegen.base.files import size_of
 from scenegen.base.mirrors import fetch
+from scenegen.base.reading import size_of
 from scenegen.base.workers import Limited, Local
 from scenegen.dataset.collection import open_data
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard

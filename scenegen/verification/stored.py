@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
 from scenegen.base.errors import BrokenError, raised_as
-from scenegen.base.files import sha256_of
+from scenegen.base.reading import sha256_of
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
 from scenegen.draw.parts import PARTS

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from lidarsim.grid import Floats
 from lidarsim.registry import suggestion
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, MESH, PLANE, SPHERE
-from scenegen.base.files import sha256_of
+from scenegen.base.reading import sha256_of
 from scenegen.worlds.classes import COLOURS
 from scenegen.worlds.screen import screen
 

@@ -22,8 +22,8 @@ from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
 from scenegen.base.errors import SceneError, printable
-from scenegen.base.files import read_bounded, sha256_of
 from scenegen.base.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.clouds.write import encode_npz, read_npz

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from scenegen.base.errors import SceneError, raised_as, short
-from scenegen.base.files import read_bounded
 from scenegen.base.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import CloudMap, Survey
 from scenegen.worlds.place import box_of, check_voxel
 

@@ -13,8 +13,8 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import rotate, unit
 from scenegen.base.errors import DatasetError, raised_as, short
-from scenegen.base.files import read_bounded
 from scenegen.base.limits import MOST_ASSET_BYTES, MOST_HEADER_BYTES
+from scenegen.base.reading import read_bounded
 
 BEYOND_S = 0.1
 """The first pose holds for this time before it, the last one after it, seconds."""

@@ -13,9 +13,9 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids import HFIELD, MESH, PLANE, Solids, solids_of, visible_geoms
 from scenegen.base.errors import BrokenError, DatasetError, SceneError, printable, raised_as
-from scenegen.base.files import read_bounded
 from scenegen.base.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.base.paths import CLOUDS, MAPS, MESHES, WORLD_FILES
+from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf

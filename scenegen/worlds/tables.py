@@ -17,8 +17,9 @@ from lidarsim.parameters import FILE
 from lidarsim.registry import suggestion
 from lidarsim.sensors import FAMILIES, RASTER, SENSORS
 from scenegen.base.errors import DatasetError, RecipeError, printable, raised_as, short
-from scenegen.base.files import Json, read_bounded
+from scenegen.base.files import Json
 from scenegen.base.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
+from scenegen.base.reading import read_bounded
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
 """A decimal number, whose dot is not that of a dotted key; a list of beams has many in a line."""

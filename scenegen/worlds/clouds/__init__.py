@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Floats, Mask
 from scenegen.base.errors import DatasetError, needs, printable
-from scenegen.base.files import read_bounded
 from scenegen.base.limits import MOST_POINTS, MOST_SCAN_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.worlds.clouds import formats
 from scenegen.worlds.clouds.columns import Table, origin_fields, time_fields
 

@@ -4,7 +4,7 @@ import functools
 import json
 import operator
 
-from scenegen.base.files import sha256_of
+from scenegen.base.reading import sha256_of
 from scenegen.draw.sample import GROUPS
 
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
