@@ -231,6 +231,8 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         for split in SPLITS:
             if split not in self.counts:
                 raise BrokenError(f"counts.{split} is missing: expected a number of samples")
+        if self.complete and self.digest is None:
+            raise BrokenError("digest is missing: expected that of all samples")
         if self.kind == "scene" and self.scenes is None:
             raise BrokenError("scenes is missing: expected the worlds of each split")
         check_sensor_entry(self.tables.lidar)
