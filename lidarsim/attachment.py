@@ -181,7 +181,7 @@ attach = Attached
 
 
 def _through_carrier(engine: AnalyticEngine, carrier: int) -> Any:
-    """Wrap the engine so that rays pass through the carrier; see `View.engine`."""
+    """Wrap the engine so that its rays pass through the carrier."""
     hits = partial(engine.hits, through=[carrier])
     return SimpleNamespace(hits=hits, cast=lambda *rays, **named: hits(*rays, **named).ranges)
 

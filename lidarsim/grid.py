@@ -24,12 +24,12 @@ MOST_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
 
-def finite(what: str, given: ArrayLike, size: int) -> Floats:
+def finite(name: str, values: ArrayLike, size: int) -> Floats:
     """Copy a vector and check it.
 
     Args:
-        what: The vector's name, for the message.
-        given: The vector, (size,).
+        name: The vector's name, for the message.
+        values: The vector, (size,).
         size: How many numbers it must have.
 
     Returns:
@@ -38,24 +38,24 @@ def finite(what: str, given: ArrayLike, size: int) -> Floats:
     Raises:
         ValueError: If there are not `size` numbers, or some are not finite.
     """
-    value = np.array(given, float)
+    value = np.array(values, float)
     if value.shape != (size,) or not np.isfinite(value).all():
-        raise ValueError(f"{what} = {value} must be {size} finite numbers")
+        raise ValueError(f"{name} = {value} must be {size} finite numbers")
     return value
 
 
-def iou(one: Mask, other: Mask) -> float:
+def iou(first: Mask, second: Mask) -> float:
     """Compute intersection over union of two masks.
 
     Args:
-        one: A mask of any shape.
-        other: A mask of the same shape.
+        first: A mask of any shape.
+        second: A mask of the same shape.
 
     Returns:
         From 0 to 1; 1 if both are empty.
     """
-    union = np.count_nonzero(one | other)
-    return np.count_nonzero(one & other) / union if union else 1.0
+    union = np.count_nonzero(first | second)
+    return np.count_nonzero(first & second) / union if union else 1.0
 
 
 def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tuple[Floats, Floats]:

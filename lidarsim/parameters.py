@@ -175,19 +175,19 @@ def _radians(value: float) -> int:
     return 15 * steps if is_near else 0
 
 
-def check_text(name: str, given: str) -> None:
+def check_text(name: str, text: str) -> None:
     """Check that a text is short and printable.
 
     Args:
         name: The text's name, for the message.
-        given: The text.
+        text: The text.
 
     Raises:
         ValueError: If it has more than `MOST_TEXT` characters, or unprintable ones.
     """
-    if len(given) > MOST_TEXT or not given.isprintable():
+    if len(text) > MOST_TEXT or not text.isprintable():
         raise ValueError(
-            f"{name} = {shown(given)}: expected {MOST_TEXT} printable characters at most"
+            f"{name} = {shown(text)}: expected {MOST_TEXT} printable characters at most"
         )
 
 

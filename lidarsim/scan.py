@@ -27,6 +27,7 @@ class Scan:
     ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
+    """The sensor's pose in the world."""
     lidar: Sensor
 
     def __post_init__(self) -> None:

@@ -234,8 +234,10 @@ class View:
     """The sensor in its world."""
 
     engine: Caster
+    """Casts rays in the sensor's world."""
     sensor: Sensor
     pose: Pose
+    """The sensor's pose in the world when the scan begins."""
     albedo: Floats | None = None
     """(geoms,): the share of light that every geom reflects, see `albedo_of`; `GREY` for all if
     None."""

@@ -78,17 +78,17 @@ RASTER = "raster"
 """The sensor of a recipe that names none."""
 
 
-def check_sensor(given: object) -> None:
+def check_sensor(sensor: object) -> None:
     """Check that an object is a sensor, and not a name or a class.
 
     Args:
-        given: The object.
+        sensor: The object.
 
     Raises:
         ValueError: If it is not a sensor.
     """
-    if isinstance(given, type) or not hasattr(given, "max_range_m"):
+    if isinstance(sensor, type) or not hasattr(sensor, "max_range_m"):
         raise ValueError(
-            f"sensor = {shown(given)}: expected an object, such as lidarsim.Lidar() or "
+            f"sensor = {shown(sensor)}: expected an object, such as lidarsim.Lidar() or "
             f"lidarsim.sensors.catalogue.VLP_16"
         )

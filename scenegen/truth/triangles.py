@@ -112,7 +112,7 @@ def _extent(corners, axis):
 
 
 @kernel
-def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
+def bounds(corners, p, q, first, end, half, slack, spare, noise, limits):
     """Bound where a square touches a triangle in the plane of two axes.
 
     For each place along axis p, the square may move along axis q. It touches unless an edge, or a
@@ -127,7 +127,7 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
         slack: How near counts as touching.
         spare: The margin within which nothing is sure.
         noise: The rounding error.
-        found: The result, (4, n): along q, the least place that may touch, the least and the
+        limits: The result, (4, n): along q, the least place that may touch, the least and the
             greatest that surely do, and the greatest that may.
     """
     wide = half + slack
@@ -136,9 +136,9 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
     for n in range(first, end):
         # the sides of the bounding box first, then each edge tightens the bounds
         sure = low - wide + spare < n < high + wide - spare
-        found[0, n], found[3, n] = low_q - wide - spare, high_q + wide + spare
-        found[1, n] = low_q - wide + spare if sure else math.inf
-        found[2, n] = high_q + wide - spare if sure else -math.inf
+        limits[0, n], limits[3, n] = low_q - wide - spare, high_q + wide + spare
+        limits[1, n] = low_q - wide + spare if sure else math.inf
+        limits[2, n] = high_q + wide - spare if sure else -math.inf
     for e in range(3):
         a, b, c = e, (e + 1) % 3, (e + 2) % 3
         d, h = corners[b, p] - corners[a, p], corners[b, q] - corners[a, q]
@@ -154,10 +154,10 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
         below, above = min(edge_0, corner_0) - reach, max(edge_0, corner_0) + reach
         for n in range(first, end):
             lowest, highest = below + n * h, above + n * h
-            found[0, n] = max(found[0, n], (lowest - doubt) * pace)
-            found[1, n] = max(found[1, n], (lowest + doubt) * pace)
-            found[2, n] = min(found[2, n], (highest - doubt) * pace)
-            found[3, n] = min(found[3, n], (highest + doubt) * pace)
+            limits[0, n] = max(limits[0, n], (lowest - doubt) * pace)
+            limits[1, n] = max(limits[1, n], (lowest + doubt) * pace)
+            limits[2, n] = min(limits[2, n], (highest - doubt) * pace)
+            limits[3, n] = min(limits[3, n], (highest + doubt) * pace)
 
 
 @kernel

@@ -71,21 +71,21 @@ class Track:
         return between(self.poses[before], self.poses[after], position - before)
 
 
-def between(one: Pose, other: Pose, share: float) -> Pose:
+def between(start: Pose, end: Pose, share: float) -> Pose:
     """Interpolate two poses, or extrapolate.
 
     Args:
-        one: The pose at 0.
-        other: The pose at 1.
+        start: The pose at 0.
+        end: The pose at 1.
         share: The place on the way.
 
     Returns:
         The pose.
     """
-    a, b = one.quaternion, other.quaternion
+    a, b = start.quaternion, end.quaternion
     # a quaternion and its negative are one rotation: the nearer sign makes the shorter arc
     turned = (1 - share) * a + share * (b if a @ b >= 0 else -b)
-    position = (1 - share) * one.position + share * other.position
+    position = (1 - share) * start.position + share * end.position
     return Pose(position, unit(turned))
 
 
