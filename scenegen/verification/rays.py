@@ -15,6 +15,13 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 
 SLACK_M = 2e-6
 """Addition to bounds for float32 ranges and for the tolerance of `occupancy`, metres."""
+MAX_CROSSINGS = 200_000
+"""Maximum number of crossings along one axis that are computed at once."""
+TOLERANCE_M = 1e-6
+"""Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
+MAX_PAIRS = 2_000_000_000
+"""Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
+"""
 
 
 def count_strays(
@@ -103,15 +110,6 @@ class MapAuditor:
             has_hit = hits.any(axis=1)
             ranges[first : first + batch][has_hit] = middle[has_hit, hits[has_hit].argmax(axis=1)]
         return ranges
-
-
-MAX_CROSSINGS = 200_000
-"""Maximum number of crossings along one axis that are computed at once."""
-TOLERANCE_M = 1e-6
-"""Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
-MAX_PAIRS = 2_000_000_000
-"""Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
-"""
 
 
 def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
