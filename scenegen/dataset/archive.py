@@ -49,6 +49,7 @@ class Members(dict[str, zipfile.ZipInfo]):
         # `ZipFile.read` would unpack everything before it compares sizes
         with self._archive.open(member) as file:
             content = file.read(member.file_size + 1)
+        # limits were checked for the size in the directory, so the content must have that size
         if len(content) != member.file_size:
             raise BrokenError(
                 f"member {name}: {len(content)} bytes unpacked, expected {member.file_size}"
@@ -118,6 +119,7 @@ def _check_directory(file: BufferedReader) -> None:
     size = file.seek(0, os.SEEK_END)
     if size > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{size} bytes, expected {MOST_ARCHIVE_BYTES} at most")
+    # the end record has 22 bytes, and the 20 before it would be a zip64 locator
     file.seek(max(size - 42, 0))
     end = file.read(42)
     # PK\6\7 would point to a second directory (zip64) of any size
@@ -134,6 +136,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
     total = 0
     for member in members:
         name = member.filename
+        # zipfile cuts names at a NUL, so the original is compared as well
         if not PLAIN.fullmatch(name) or member.orig_filename != name:
             raise BrokenError(
                 f"member {short(name)}: expected a plain file name, of a file beside the others"
@@ -155,6 +158,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
         total += member.file_size
     if total > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
+    # of two members with the same name, readers may use either
     for name, count in Counter(member.filename for member in members).most_common(1):
         if count > 1:
             raise BrokenError(f"member {name}: is there twice")
@@ -207,6 +211,7 @@ def _add(files: Mapping[str, bytes], folder: Path) -> None:
     with disk_told(folder):
         folder.mkdir(exist_ok=True)
     absent = {name: content for name, content in files.items() if not (folder / name).exists()}
+    # several worlds may share a folder: equal files are kept
     for name in files.keys() - absent.keys():
         if read_bounded(folder / name, MOST_ASSET_BYTES) != files[name]:
             raise DatasetError(f"{folder / name}: is there and another file; give another -o")

@@ -109,6 +109,7 @@ def plan_dataset(
     # cached properties would read the table of rays from the folder, where it is not written yet
     planned.__dict__.update(recipe=recipe, lidar=recipe.lidar)
     viewpoints = recipe.flight.viewpoints
+    # a shard holds whole flights, at least one
     step = max(shard_samples // viewpoints, 1)
     if (samples := sum(counts.values())) > MOST_SHARDS * step * viewpoints:
         raise DatasetError(
@@ -130,6 +131,7 @@ def plan_dataset(
                     numbers=unit_numbers
                     if is_range
                     else [source.number(split, unit)[0] for unit in unit_numbers],
+                    # the last flight of a split may be cut
                     samples=min(len(unit_numbers) * viewpoints, counts[split] - first * viewpoints),
                     seed=seed,
                     layout=layout_of(planned.fields, schema_of(recipe)),
@@ -226,6 +228,7 @@ def build(
             if time.monotonic() - noted > NOTE_S:
                 state.note(mine)
                 noted = time.monotonic()
+    # a later run can find these shards, even if no job completes the manifest
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
@@ -255,6 +258,7 @@ def _summarise(state: State, final: Manifest, written: int) -> Summary:
             worlds[shard.split].update(shard.numbers)
     missing = 0
     if not final.complete:
+        # files of all shards may exist while some were not examined here
         missing = len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,

@@ -145,6 +145,8 @@ def check_together(datasets: Sequence[Dataset]) -> None:
             )
         for split, scenes in (dataset.manifest.scenes or {}).items():
             for scene in scenes:
+                # only worlds from files have digests here; drawn worlds of splits differ by their
+                # seeds
                 before, owner = split_of_world.setdefault(scene.sha256, (split, dataset))
                 if before != split:
                     raise DatasetError(
@@ -316,6 +318,7 @@ def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
             )
         for split in SPLITS:
             numbers = selected.samples.get(split, [])
+            # rising, so that samples keep their order and none comes twice
             rising = all(a < b for a, b in pairwise(numbers))
             if not rising or (numbers and numbers[-1] >= len(dataset.split(split))):
                 raise DatasetError(

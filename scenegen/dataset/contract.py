@@ -172,11 +172,13 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
             BrokenError: if the recipe has no valid `flight.viewpoints`.
         """
         viewpoints = self.tables.flight.get("viewpoints")
+        # the schema does not cover the recipe's tables; a bool is no number
         if type(viewpoints) is not int or not 1 <= viewpoints <= MOST_VIEWPOINTS:
             raise BrokenError(
                 f"recipe.flight.viewpoints = {short(viewpoints)}: expected a whole number from 1 "
                 f"to {MOST_VIEWPOINTS}"
             )
+        # at least 1, as a split without worlds has no units, and must not divide by zero
         scenes = None if self.scenes is None else max(len(self.scenes.get(split, ())), 1)
         return Numbering(viewpoints=viewpoints, scenes=scenes)
 
@@ -205,6 +207,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
             recipe = make_recipe(kind, tables, lidar=self.lidar)
             if entry.noise is not None and self.noise_is_ours:
                 noise = Noise.parse(entry.noise.stages)
+                # checks of samples rely on `bound_m`, so it must follow from the stages
                 again = noise_entry(noise, self.lidar.max_range_m)
                 if again is None or again.bound_m != entry.noise.bound_m:
                     raise ValueError(
@@ -246,6 +249,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         for split in SPLITS:
             total = sum(entry.samples for entry in self.shards if entry.split == split)
             promised = self.counts[split]
+            # an incomplete dataset may lack shards, but has none too many
             if total > promised or (self.complete and total < promised):
                 raise BrokenError(
                     f"counts.{split} = {promised}, but its shards hold {total} samples"

@@ -65,6 +65,7 @@ class Plans:
         with disk_told(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             names = {item.name for item in self.folder.iterdir()} - {COLLECTION, *members}
+        # temporary files of other runs are ignored
         strangers = {name for name in names if not name.endswith(".tmp")}
         if strangers and not path.exists():
             raise DatasetError(
@@ -202,6 +203,7 @@ def plan_generation(
         if conflicts := [name for name, value in world_options.items() if value]:
             raise AskedError(f"--like says all of worlds; leave out {', '.join(conflicts)}")
         numbers = None
+        # without numbers, those of the original are kept
         if (n, val, test) != (None, None, None):
             numbers = _counts(2500 if n is None else n, val, test, alone=False)
         return _plan_like(like, out, kind, sensing, engine, numbers, compact=compact)
@@ -371,6 +373,7 @@ def plan_mixed(
                 f"{recipes[0].kind} is {recipes[0].grid}; give all components the same"
             )
         component_counts = {split: divided[n] for split, divided in by_split.items()}
+        # a component with a small weight may get no sample
         if any(component_counts.values()):
             source, component_folder = DrawnWorlds(recipe), folder / names[n]
             plan = plan_dataset(

@@ -65,6 +65,7 @@ def most_bytes(layout: Layout, samples: int) -> int:
         layout: Layout of the shard.
         samples: Number of samples.
     """
+    # 2000 bytes are ample for the header and index entry of a chunk
     sample_bytes = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
     return samples * (sample_bytes + sample_bytes // 100) + (1 << 20)
 
@@ -113,9 +114,11 @@ class Chunks:
             ValueError: if it does not unpack to the expected size; or another of `READ_ERRORS`.
         """
         skipped_filters, data = self.dataset.read_direct_chunk(offset)
+        # deflate never grows data by more than this
         if len(data) > self.bytes + self.bytes // 100 + 1000:
             raise ValueError(f"{len(data)} bytes are stored for {self.bytes}")
         for position in reversed(range(len(self.filters))):  # undo the last filter first
+            # HDF5 marks by bits the filters that were skipped for a chunk
             if skipped_filters >> position & 1:
                 continue
             number = self.filters[position]
@@ -168,6 +171,7 @@ class ShardFile:
         values = np.frombuffer(
             raw if read_only else bytearray(raw), np.uint8 if is_bool else column.dtype
         )
+        # numpy's results are undefined for other bytes in a bool array
         if is_bool and values.max(initial=0) > 1:
             raise BrokenError(f"{where} holds bytes other than 0 and 1")
         # a single value is a number, and no array
@@ -282,6 +286,7 @@ def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
         opened = h5py.File(path, "r", rdcc_nbytes=0, rdcc_nslots=1)
         try:
             return _checked(opened, path.name, samples, layout)
+        # also when the run is stopped: HDF5 would keep the file open
         except BaseException:
             opened.close()
             raise
@@ -314,6 +319,7 @@ def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardF
 
 def _dataset(file: h5py.File, name: str) -> h5py.h5d.DatasetID:
     """Open an HDF5 dataset. Raises ValueError if the name is a link or another object."""
+    # checked before the object is opened: an external link could name any file of this machine
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         raise ValueError("is a link to elsewhere; only data of its own may be in a shard")
     dataset = h5py.h5o.open(file.id, name.encode())
@@ -323,6 +329,7 @@ def _dataset(file: h5py.File, name: str) -> h5py.h5d.DatasetID:
 
 
 def _attribute(attributes: h5py.AttributeManager, name: str) -> int | str | None:
+    # scalars only: anything else counts as missing, which `check_origin` reports
     if name not in attributes or attributes.get_id(name).shape != ():
         return None
     value = attributes[name]

@@ -62,6 +62,7 @@ def fly_again(
         GenerationError: if no draw gives this flight.
     """
     for attempt in range(recipe.accept.max_draws):
+        # the random numbers of `draw_unit`, which give the same flights
         rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
             path = fly(world, recipe.flight, rng=rng)
@@ -178,6 +179,7 @@ class ScanAgain(ShardSpec):
         prefix = f"{dataset.folder}: {self.split} sample: "
         with raised_as(DatasetError, prefix, "; verify the dataset"):
             poses = [[scan.pose for scan in sample.scans()[: mapping.scans]] for sample in samples]
+        # stored earlier poses serve if the new mapping needs no others
         if mapping.scans > original.scans or mapping.scan_spacing_m != original.scan_spacing_m:
             own_poses = [stored[0] for stored in poses]
             poses = fly_again(world, own_poses, self.recipe, key)

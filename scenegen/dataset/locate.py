@@ -174,6 +174,7 @@ def client_output(shown: bool) -> Iterator[None]:
         enable_progress_bars,
     )
 
+    # the user's own settings of the client are restored afterwards
     verbosity, keep_bars = logging.get_verbosity(), shown or are_progress_bars_disabled()
     logging.set_verbosity_error()
     if not keep_bars:

@@ -65,6 +65,7 @@ def write(folder: Place, manifest: Manifest) -> None:
             return
         except ConflictError:
             stored = read_content(folder)
+        # our own request succeeded, and its answer was lost
         if stored == content:
             return
         stored_manifest = parse(stored)
@@ -129,13 +130,16 @@ def parse(content: bytes, folder: Path = Path(), named: str | None = None) -> Ma
         # msgspec appends the location; our messages begin with it
         fault = re.sub(r"^(.*) - at `\$\.?(.*)`$", r"\2: \1", printable(error))
     made_by = head.software.get("scenegen") if isinstance(head.software, dict) else None
+    # an unknown entry in a file of a later version is no damage
     raise NewerError(fault) if _is_later(made_by) else BrokenError(fault)
 
 
 def _is_later(version: Any) -> bool:
     """Whether a version of scenegen, as a manifest names it, is later than this one."""
     theirs, ours = (
-        list(map(int, re.findall(r"[0-9]{1,9}", str(text)[:50]))) for text in (version, __version__)
+        # bounded lengths, as the text is untrusted
+        list(map(int, re.findall(r"[0-9]{1,9}", str(text)[:50])))
+        for text in (version, __version__)
     )
     return theirs > ours
 
@@ -185,6 +189,7 @@ def read_content(folder: Place, name: str = "") -> bytes:
             [str(near.parent) for near in parent.glob(f"*/{NAME}")]
             for parent in (path, path.parent)
         )
+        # suggest a dataset inside the folder, or one with a similar name beside it
         for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), siblings, 1, 0.8):
             problem += f"; did you mean {near}?"
         raise DatasetError(

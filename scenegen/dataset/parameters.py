@@ -214,6 +214,7 @@ def recipe_text(recipe: RecipeEntry, title: str) -> str:
     lines = [f"# {title}", f"kind = {_toml(recipe.kind)}"]
     if recipe.difficulty != "medium":
         lines.append(f"difficulty = {_toml(recipe.difficulty)}")
+    # the shape follows from the table of rays
     lidar = {name: value for name, value in recipe.lidar.items() if name != "shape"}
     if "sensor" in lidar:
         lidar["rays"] = RAYS

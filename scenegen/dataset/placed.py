@@ -57,6 +57,7 @@ def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
     """
     entries: dict[str, ShardEntry] = {}
     for path in folder.glob(NOTES):
+        # a damaged note only costs time: its shards are examined again
         with suppress(OSError, msgspec.MsgspecError, RecursionError, DatasetError):
             note = msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=Note)
             if note.parameters == parameters:
@@ -146,6 +147,7 @@ def find_reports(
         if report is not None and (listed is None or report.entry.sums == listed.sums):
             return report
         if (report := report_at(store, task)) is None:
+            # a damaged shard must go: `Store.create` refuses to replace it by other bytes
             for name in (spec.file, spec.worlds):
                 store.remove(name)
         else:

@@ -144,6 +144,7 @@ class Dataset(AnyDataset):
         self.manifest = manifest.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
+            # computed now, so that a damaged manifest fails here and not on access
             _ = self.manifest.schema
         if not (self.manifest.complete or partial):
             raise DatasetError(
@@ -228,6 +229,7 @@ class Dataset(AnyDataset):
         """Open a shard, and check that it belongs to this dataset. Raises DatasetError."""
         path = self.folder / entry.file
         with advised(self.folder):
+            # fetches the file, and compares its sum if `checked`
             self._open(entry.file, entry.sha256).close()
             shard = open_shard(path, entry.samples, self.manifest.layout)
             shard.check_origin(
@@ -286,6 +288,7 @@ class Split(Samples):
             self._shard(number).check(row)
 
     def __getstate__(self) -> dict[str, Any]:
+        # HDF5 handles cannot be pickled
         return {**self.__dict__, "_open": {}}
 
     def __repr__(self) -> str:
@@ -326,10 +329,12 @@ class Split(Samples):
         with advised(piece.dataset.folder):
             if name in manifest.fields:
                 value = shard.value(name, row)
+                # worlds of a collection are numbered across its datasets
                 return value + piece.first_world if name == "world" else value
             if name == "tudf":
                 return distance_field(sample.occupancy, manifest.grid)
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
+                # oldest first, as when the sample was made
                 scans = sample.scans()[::-1]
                 return fuse(scans, manifest.grid, sample.origin, manifest.mapping).free
 

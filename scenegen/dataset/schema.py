@@ -26,6 +26,7 @@ SplitName = Annotated[str, Meta(pattern=r"\A(?:train|val|test)\Z")]
 ShardSamples = Annotated[int, Meta(ge=1, le=MOST_SAMPLES_IN_SHARD)]
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 SHARD_FILE = re.compile(
+    # (?=\1): the digits of a subfolder must begin the names of its files
     r"(?:((?:train|val|test)-[0-9]+)x+/(?=\1))?(train|val|test)-([0-9]{5,9})(\.h5|\.worlds\.zip)"
 )
 """Names of a shard's files: train-00000.h5, or train-01xxx/train-01000.worlds.zip."""

@@ -137,6 +137,7 @@ def _stored_measures(dataset: Dataset) -> dict[str, Floats]:
         max_bytes = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES + DIGEST_BYTES
         content = read_bounded(path, max_bytes)
         body, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
+        # a truncated or edited file is ignored
         if hashlib.sha256(body).digest() != digest:
             return {}
         table = read_npy(body)
@@ -148,6 +149,7 @@ def _stored_measures(dataset: Dataset) -> dict[str, Floats]:
     by_split = dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
     name = max(by_split, key=lambda name: len(by_split[name]))
     samples = len(by_split[name])
+    # spread over the largest split: measures of an older version are likely to differ somewhere
     for index in np.linspace(0, samples - 1, min(MEASURED_AGAIN, samples)).astype(int).tolist():
         sample = dataset.split(name)[index]
         again = [measure(sample) for measure in MEASURES.values()]
@@ -233,12 +235,8 @@ def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str
     # means over worlds need all samples, so they are not measured on the fly
     world_measures = [condition.name for condition in conditions if condition.name not in MEASURES]
     if world_measures and not stored:
-        unmeasured = [
-            condition for condition in dataset.datasets if not _stored_measures(condition)
-        ]
-        commands = [
-            f"scenegen inspect {quote(str(condition.folder))} --keep" for condition in unmeasured
-        ]
+        unmeasured = [member for member in dataset.datasets if not _stored_measures(member)]
+        commands = [f"scenegen inspect {quote(str(member.folder))} --keep" for member in unmeasured]
         raise DatasetError(
             f"{dataset.name}: {world_measures[0]} is a mean over all maps of a world; measure "
             f"these first: {'; '.join(commands)}"

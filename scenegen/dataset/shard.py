@@ -137,6 +137,7 @@ class ShardSpec(Units):
                 unit = self.draw(self.first_unit + n)
                 for subject, counts in unit.rejected.items():
                     rejected[subject].update(counts)
+                # units may share a world, and worlds may share files
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
                 for sample in unit.samples[: max(remaining, 0)]:
                     yield partial(getattr, sample), sample.sha256()
@@ -182,8 +183,10 @@ def put(
     """
     digests = list[bytes]()
     layout = {name: column for name, column in spec.layout.items() if name != DIGEST}
+    # in memory, so that the file can be written atomically, or put at a store
     with h5py.File(spec.file, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
         packed = _create(file, layout, spec.samples)
+        # scalars and poses are not compressed, and written together at the end
         small: dict[str, list[Any]] = {name: [] for name in layout if name not in packed}
         for value_of, digest in samples:
             for name, values in small.items():
@@ -206,6 +209,7 @@ def put(
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = file.id.get_file_image()
+    # the archive first: the file of samples marks the shard as complete
     create_at(place, spec.worlds, worlds)
     create_at(place, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
@@ -299,6 +303,7 @@ def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> Shar
                     # digests do not cover derived fields: check that they can be unpacked
                     shard.value(name, row, read_only=True)
             return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
+    # whatever is wrong, the shard will be written again
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
@@ -313,6 +318,7 @@ def zip_reproducibly(members: tuple[tuple[str, bytes], ...]) -> bytes:
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:
         for name, content in sorted(members):
+            # fixed values for everything that depends on the time or the machine
             member = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             member.compress_type = zipfile.ZIP_DEFLATED
             member.create_system = 3

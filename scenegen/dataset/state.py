@@ -153,6 +153,7 @@ class State:
                 f"the dataset with --force"
             ) from None
         differing = differences(existing.parameters, self.plan.manifest.parameters)
+        # a dataset with more samples keeps all shards of the smaller one
         grows = all(line.startswith("counts.") for line in differing) and all(
             existing.counts[split] <= self.plan.manifest.counts[split] for split in SPLITS
         )
@@ -187,6 +188,7 @@ class State:
         names = names_at(folder) if self._names is None else self._names
         self._names, listed = None, dict(self._listed)
         if isinstance(folder, Path):
+            # the manifest takes precedence over notes of jobs
             listed = read_notes(folder, self.plan.manifest.fingerprint) | listed
         tasks = [
             (shard, listed.get(shard.file))
@@ -217,6 +219,7 @@ class State:
                 folder.mkdir(parents=True, exist_ok=True)
             # listed before the manifest is read: files that appear later belong to this dataset
             names = names_at(folder).keys()
+            # read again, as another job may have begun the dataset meanwhile
             self._listed, self._names = self._read(), None
             self.clear()
         if not self.begun:
@@ -274,6 +277,8 @@ class State:
             self._remove_notes()
             return self.current()
         while True:
+            # in a loop: jobs that finish at the same time could each miss the last shard of the
+            # other
             content = manifest.read_content(self.plan.folder)
             if len(self.reports) < len(self.plan.shards) and (signed := self._signed(content)):
                 return signed

@@ -18,6 +18,9 @@ from scenegen.base.errors import GenerationError, RecipeError, raised_as
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
+from scenegen.draw.unit import FLIGHT as FLIGHT
+from scenegen.draw.unit import NOISE as NOISE
+from scenegen.draw.unit import WORLD as WORLD
 from scenegen.draw.unit import Rejections as Rejections
 from scenegen.draw.unit import Unit as Unit
 from scenegen.draw.unit import UnitKey as UnitKey
@@ -34,8 +37,6 @@ Truth = dict[str, np.ndarray]
 View = tuple[Sequence[Scan], Truth]
 """Data of one viewpoint: its clean scan followed by the earlier ones, latest first; and the truth
 of its map."""
-WORLD, FLIGHT, NOISE = 0, 1, 2
-"""Streams of random numbers of a unit."""
 ADVICE = {
     "no_flight": "no flight fits between the solids: {fewer}, or lower flight.robot_radius_m",
     "few_solids": "worlds are too empty: {more}, or lower accept.min_solids",

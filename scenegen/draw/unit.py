@@ -12,6 +12,9 @@ from scenegen import SPLITS
 from scenegen.draw.sample import Sample
 from scenegen.worlds.world import AnyWorld
 
+WORLD, FLIGHT, NOISE = 0, 1, 2
+"""Streams of random numbers of a unit."""
+
 
 class UnitKey(NamedTuple):
     """Key of a unit's random numbers."""

@@ -51,6 +51,7 @@ def record_type(schema: Schema) -> np.dtype:
             continue
         shape = schema.shape(name)
         if _is_flags(name):
+            # eight flags a byte, rounded up
             columns.append((name, "u1", -(-math.prod(shape) // 8)))
         else:
             columns.append((name, FIELDS[name]["dtype"], shape))
@@ -90,6 +91,7 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
         if _is_flags(name):
             shape = schema.shape(name)
             return np.unpackbits(value, count=math.prod(shape)).view(bool).reshape(shape)
+        # a Python number, or a writable copy: the record itself is read-only
         return value.item() if FIELDS[name]["axes"] == "" else value.copy()
 
     return Sample.lazy(schema.names, _find, lidar=schema.lidar, grid=schema.grid)
@@ -121,6 +123,7 @@ class Ahead:
     def give(self, slot: Slot) -> None:
         """Request a unit, unless it is under way."""
         if slot not in self:
+            # the worker with the shortest queue
             worker, queue = min(self._requested.items(), key=lambda item: len(item[1]))
             queue.append(slot)
             with contextlib.suppress(OSError):  # it died, which `collect` notices
@@ -165,6 +168,7 @@ class Ahead:
         queue, replacement = self._requested.pop(worker), Worker(self._make)
         self._requested[replacement] = queue
         for slot in queue:
+            # drawing is deterministic: the units come out the same
             replacement.pipe.send(slot)
 
 
@@ -248,6 +252,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         label, path = str(what), Path(what)
         is_file = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
         is_own = isinstance(what, str) and ":" in what and not path.exists()
+        # a kind takes precedence over a file of the same name
         if what in KINDS.builtin or is_own or not is_file:
             recipe = preset(label)
         elif path.suffix == ".toml":

@@ -70,6 +70,7 @@ class Stream(Samples):
         self.mixture = mixture
         self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
         parts = [
+            # units of a round identify the order: weights 1:2 and 2:4 give the same stream
             {"drawn": part.described(), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
         ]
@@ -152,6 +153,7 @@ class Stream(Samples):
         self._ahead = None
 
     def __getstate__(self) -> dict[str, Any]:
+        # a copy in another process draws for itself
         return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": iter(())}
 
     def _forget(self) -> None:
@@ -171,6 +173,7 @@ class Stream(Samples):
             return
         if self._ahead is None:
             self._ahead = Ahead(self._make, self.workers)
+        # empties the pipes, so that no worker waits to send
         self._ahead.collect()
         missing = [slot for slot in slots if slot not in self._units]
         for slot in missing:
@@ -188,6 +191,7 @@ class Stream(Samples):
             unit = self._make(slot) if self._ahead is None else self._ahead.take(slot)
             self._bytes += sum(map(len, unit))
         self._units[slot] = unit
+        # the unit just read stays, however large it is
         while self._bytes > KEPT_BYTES and len(self._units) > 1:
             self._bytes -= sum(map(len, self._units.pop(next(iter(self._units)))))
         return unit
@@ -288,6 +292,7 @@ class Batches(Place, Iterator[list[int]]):
         self._stream, self._size, self._loaders = stream, size, loaders
         self._mine = slice(rank, None, ranks)
         self._row = stream.mixture.row
+        # complete rounds only: all ranks and loaders get equally many batches
         self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
         if not self._count:
             raise DatasetError(
@@ -310,6 +315,7 @@ class Batches(Place, Iterator[list[int]]):
         view, block_offset = divmod(offset, self._loaders)
         block = turn * self._loaders + block_offset
         rng = rng_of(self._stream.seed, block)
+        # all ranks draw the same order, and each takes its part
         rows = block * self._size + rng.permutation(self._size)[self._mine]
         return (rows * self._row + view).tolist()
 

@@ -145,6 +145,7 @@ class Worlds:
         """
         max_worlds = task.entry.samples
         with open_archive(file, name) as members:
+            # bounds the time that screening may take
             if (worlds := sum(member.endswith(".xml") for member in members)) > max_worlds:
                 raise BrokenError(f"{worlds} worlds, expected one a sample at most, {max_worlds}")
             assets = {member: members.read(member) for member in members}

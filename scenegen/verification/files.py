@@ -50,6 +50,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
             # computed now, so that faults in its tables are recorded here
             parsed.recipe  # noqa: B018
         _check_shards(parsed, page)
+        # stays None if anything above raised BrokenError
         contract = parsed
     return contract
 
@@ -90,6 +91,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
             )
             _check_size(contract, entry, number == len(entries) - 1, page)
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
+    # three names are enough for one line; they are untrusted
     stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
 

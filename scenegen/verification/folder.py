@@ -105,11 +105,13 @@ def examine(task: Task) -> Findings:
                     try:
                         examination(subject, page)
                     except Exception as error:
+                        # an error in one of our checks is a bug, not a fault of the dataset
                         if check in CHECKS:
                             raise
                         page.fault(str(told(error)))  # the user's own code fails
 
     worlds, path = None, contract.folder / entry.worlds
+    # the archive first, as checks of samples use its worlds
     with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
         page.count(files=1)
         worlds = Worlds.read(task, file, path.name)
@@ -118,6 +120,7 @@ def examine(task: Task) -> Findings:
     path = contract.folder / entry.file
     with ledger.checking(LAYOUT.name) as page:
         with open_file(path) as file:
+            # hashing a file of unlimited size could take hours
             if size_of(file) <= most_bytes(contract.layout, entry.samples):
                 _make_checks("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(path, entry.samples, contract.layout)
@@ -277,6 +280,7 @@ class _Walk:
                         f"compares all {len(self._all_tasks)} shards, and {len(self._tasks)} are "
                         f"examined here"
                     )
+                # a check that examined nothing must not count as passed
                 if not (page.faults or page.skipped or page.counts):
                     page.skipped = "counted nothing that it examined: see what failed"
             self.outcomes.append(page.outcome(check.name))

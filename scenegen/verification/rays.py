@@ -15,6 +15,13 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 
 SLACK_M = 2e-6
 """Addition to bounds for float32 ranges and for the tolerance of `occupancy`, metres."""
+MAX_CROSSINGS = 200_000
+"""Maximum number of crossings along one axis that are computed at once."""
+TOLERANCE_M = 1e-6
+"""Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
+MAX_PAIRS = 2_000_000_000
+"""Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
+"""
 
 
 def count_strays(
@@ -49,6 +56,7 @@ def count_strays(
             np.maximum(cells * voxel - remaining, remaining - (cells + 1) * voxel), 0.0
         )
         near = in_map & ((gaps**2).sum(axis=1) <= max_m * max_m)
+        # only cells inside the map are looked up
         near[near] = occupancy[tuple(cells[near].T)]
         remaining = remaining[~near]
     return len(remaining)
@@ -97,19 +105,11 @@ class MapAuditor:
             cells = np.floor(begin + middle[..., None] * batch_rays[:, None]).astype(np.int64)
             hits: Any = ((cells >= 0) & (cells < states.shape)).all(axis=2)
             hits[hits] = states[tuple(cells[hits].T)] == OCCUPIED
+            # a shorter chord only touches a voxel's edge, which the engine ignores, too
             hits &= (chords >= LEAST_CHORD_M) & (middle <= max_range_m)
             has_hit = hits.any(axis=1)
             ranges[first : first + batch][has_hit] = middle[has_hit, hits[has_hit].argmax(axis=1)]
         return ranges
-
-
-MAX_CROSSINGS = 200_000
-"""Maximum number of crossings along one axis that are computed at once."""
-TOLERANCE_M = 1e-6
-"""Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
-MAX_PAIRS = 2_000_000_000
-"""Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
-"""
 
 
 def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
@@ -127,6 +127,7 @@ def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
     """
     body = _raster(lidar) if isinstance(lidar, Lidar) else lidar.directions_body
     w, u = quaternion[0], quaternion[1:]
+    # rotation by a unit quaternion (w, u): v + 2w (u x v) + 2u x (u x v)
     twice = 2.0 * np.cross(u, body)
     return np.asarray(body + w * twice + np.cross(u, twice))
 
@@ -203,4 +204,5 @@ def disagrees(gap: Floats, found: Floats, max_range_m: float) -> Mask:
     Returns:
         Mask; True also for NaN.
     """
+    # negated, so that NaN counts as a difference
     return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)

@@ -133,6 +133,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         page.count(rays=len(rays))
         page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
         if wrong.any():
+            # the worst ray is reported
             n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
             ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
             scan_name = f", earlier scan {number}" if number else ""
@@ -162,6 +163,7 @@ def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         key = UnitKey(contract.seed, task.entry.split, unit)
         seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
+    # compared by bits, so that inf equals inf and NaN itself
     wrong = sum(
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
         for again, stored in zip(seen, sample.scans, strict=True)
@@ -184,9 +186,11 @@ def _fly_again(shard: Shard, page: Page) -> None:
     rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)
+        # one flight for each shard, as drawing takes as long as it did at first
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
+    # with other software, differences prove nothing
     if page.faults and (why := why_other(task.contract)):
         page.faults, page.told = 0, []
         page.differ(why, flights=1)

@@ -48,6 +48,7 @@ def signature(mask: Mask) -> NDArray[np.int32]:
         count, parts = mask.shape[axis], BLOCKS[axis]
         begins = range(0, count, -(-count // parts))
         sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.int32)
+    # small maps have fewer blocks; the others stay 0
     blocks[tuple(map(slice, sums.shape))] = sums
     return blocks.reshape(-1)
 
@@ -76,11 +77,13 @@ def candidates(
     for place, sample in enumerate(order.tolist()):
         if not counts[sample]:
             continue  # an empty map has no twin
+        # `ends`: maps with many more occupied voxels cannot reach the IoU
         neighbours = order[place + 1 : ends[place]]
         neighbours = neighbours[splits[neighbours] != splits[sample]]
         for blocks, min_iou in ((occupied, OCCUPIED_IOU), (observed, OBSERVED_IOU)):
             common = np.minimum(blocks[neighbours], blocks[sample]).sum(axis=1)
             union = np.maximum(blocks[neighbours], blocks[sample]).sum(axis=1)
+            # 1e-9: rounding must not exclude a pair
             neighbours = neighbours[common >= (min_iou - 1e-9) * union]
         pairs += [(sample, neighbour) for neighbour in neighbours.tolist()]
         if len(pairs) > MAX_COMPARED:

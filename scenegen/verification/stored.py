@@ -41,6 +41,7 @@ def _own_digest(sample: Sample, page: Page) -> None:
     for name in ("world", "viewpoint"):
         content_hash.update(sample.fields[name].tobytes())
     digest = content_hash.digest()
+    # each group extends the digest of the groups before it
     for names in (EARLIER, LABELLED, NORMALS, KNOWN):
         if names[0] in sample.fields:
             digest = hashlib.sha256(
@@ -87,6 +88,7 @@ def _centred(sample: Sample, page: Page) -> None:
     # a dataset like another one keeps poses that its own mapping need not allow
     if mapping.tilt_mps or sample.contract.like is None:
         max_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
+        # cosine of the tilt: z component of the body's z axis in the world
         upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
         limit = f"mapping.most_tilt_deg = {max_deg:g}" if max_deg else "0 degrees, without a tilt"
         is_upright = bool((upright >= math.cos(math.radians(max_deg)) - LEAN).all())
@@ -111,6 +113,7 @@ def _lawful(sample: Sample, page: Page) -> None:
     max_range_m, invalid = sample.contract.lidar.max_range_m, 0
     for name in ("ranges", "earlier_ranges"):
         ranges = sample.fields.get(name, np.empty(0, np.float32))
+        # negated, so that NaN counts as invalid
         invalid += int((~(ranges >= 0) | ((ranges > max_range_m) & np.isfinite(ranges))).sum())
     page.expect(
         not invalid, f"{sample.where}: {invalid} ranges are not from 0 to {max_range_m:g} m, or inf"
@@ -140,6 +143,7 @@ def _lawful(sample: Sample, page: Page) -> None:
 
 def _part_laws(sample: Sample, page: Page) -> None:
     contract = sample.contract
+    # other engines may differ where rays graze an edge
     exact = contract.noise is None and contract.engine == DEFAULT
     for name, settings in contract.parts.items():
         page.count(samples=1)
@@ -151,6 +155,7 @@ def _expect_equal(
     sample: Sample, name: str, expected: NDArray[Any], source: str, page: Page
 ) -> None:
     """Compare a stored field bit for bit with one that was computed again from `source`."""
+    # compared by bits, so that NaN equals itself and -0.0 differs from 0.0
     stored, bits = sample.fields[name], f"u{expected.itemsize}"
     if np.array_equal(stored.view(bits), expected.view(bits)):
         return

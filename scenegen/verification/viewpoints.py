@@ -90,6 +90,7 @@ def _far_apart(contract: Manifest, page: Page) -> None:
             break
         first, second = first[pairs], second[pairs]
         apart_m = _distances_m(records["position"][first], records["position"][second])
+        # negated, so that NaN counts as too close
         for n in np.flatnonzero(~(apart_m >= spacing_m - ROUNDING_M)):
             named = (f"{contract.shards[shards[at]].file}" for at in (first[n], second[n]))
             page.fault(
