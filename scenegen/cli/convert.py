@@ -163,7 +163,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
     elif len(files) > 1:  # standard output can carry only the document
         raise click.UsageError(
-            f"this world refers to {len(files) - 1} other files; give -o: they go beside it"
+            f"this world refers to {len(files) - 1} other files; give -o, to write them beside it"
         )
     else:
         sys.stdout.buffer.write(files[DOCUMENT])
@@ -232,7 +232,7 @@ def map(
     misplaced = options_given - {"height_m"} if plan else options_given & {"height_m"}
     if misplaced or (plan and len(clouds) > 1):
         raise click.UsageError(
-            "a plan, .yaml, is given alone, with --height and no other of these options, which are "
+            "a plan, .yaml, is given alone, with --height and no other of these options: they are "
             "for clouds"
         )
     from scenegen.base.files import write_result

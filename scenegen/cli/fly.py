@@ -278,8 +278,8 @@ def _begin(
 
     if weights is not None and was_given("robot") and robot != FORGETFUL:
         raise click.UsageError(
-            "--weights says which robot flies; leave out --robot, but for --robot returns, which "
-            "completes the last scan alone"
+            "--weights chooses the robot; leave out --robot, or give --robot returns, which "
+            "completes only the last scan"
         )
     if log is not None:
         check_free(log)
@@ -332,7 +332,7 @@ def replay(
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
-        # the default robot is not meant here: whose recording it is need not be known
+        # only a robot that the user names: the default one may not be that of the recording
         if weights is not None or was_given("robot"):
             filmed = robot, weights
             count, differing = fly_anew(recording, work, crew)

@@ -379,8 +379,8 @@ def was_given(name: str) -> bool:
 
 
 def flags_given(names: Collection[str]) -> list[str]:
-    """Return the flags, such as --host, of those of the current command's parameters `names` that
-    the user gave."""
+    """Return those parameters among `names` that the user gave to the current command, as flags
+    such as --host."""
     context: Any = click.get_current_context()
     source = context.get_parameter_source
     return [
@@ -414,14 +414,14 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[An
         shown: Whether a download shows a bar, and empty datasets a note.
 
     Raises:
-        UsageError: There are none.
+        UsageError: No dataset is given, and data/ has none.
         DatasetError: One does not exist, or is damaged.
     """
     from scenegen.cli.show import note
     from scenegen.dataset.collection import open_data
 
     opened = [open_data(dataset, shown=shown) for dataset in datasets]
-    # of those found here, an empty one is left out; one that is incomplete is refused, as always
+    # datasets found here may be empty, and are left out; an incomplete one is refused, as usual
     for path in () if opened else sorted(Path("data").glob("*/dataset.json")):
         candidate = open_data(path.parent, partial=True)
         if any(len(candidate.split(split)) for split in SPLITS):

@@ -87,7 +87,7 @@ def take(
     counts = {split: len(of_split) for split, of_split in numbers.items()}
     if not sum(counts.values()):
         raise DatasetError(
-            f"{source.name}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
+            f"{source.name}: no sample fulfils the conditions ({str(choice) or 'any'}); change them"
         )
     write_result(out, encode_selection(source, numbers, choice, out.parent))
     if tell({"selection": str(out), "samples": counts}):

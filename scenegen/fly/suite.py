@@ -99,7 +99,7 @@ class Part:
     there: int
     """Number of courses that the entry has."""
     of: int
-    """Number of courses of the track; with `quick`, of those of `--quick`."""
+    """Number of courses of the track; with `quick`, of the part that `--quick` takes."""
 
     def __str__(self) -> str:
         text = f"{self.track[:14]}{', quick' * self.quick}: {self.there} of {self.of} courses"
@@ -122,7 +122,7 @@ def part_of(entry: Recording) -> Part:
         DatasetError: The recording is of no suite, or a course is not one of the suite's.
     """
     if entry.suite not in SUITES:
-        raise DatasetError("is no entry: expected flights of `fly suite`")
+        raise DatasetError("is not an entry; expected a recording of `fly suite`")
     track = track_of(entry)
     courses = {named(course): course.document for course in frozen_courses(entry.suite, track)}
     left = courses.copy()  # each course counts once
@@ -131,8 +131,8 @@ def part_of(entry: Recording) -> Part:
         if document is None or not course.document.startswith(document):
             raise DatasetError(
                 f"{course.world}, {course.difficulty}, seed {course.seed}, is no course of "
-                f"{entry.suite}'s track {track[:14]}, or it is there twice, or it has another "
-                "world, vehicle, sensor or rules"
+                f"{entry.suite}'s track {track[:14]}, or is there twice, or has another world, "
+                "vehicle, sensor or rules"
             )
     some = list(courses)[::QUICK]
     quick = {named(course) for course, _ in entry.courses} <= {*some}
@@ -140,7 +140,7 @@ def part_of(entry: Recording) -> Part:
 
 
 def is_whole(entry: Recording) -> bool:
-    """Whether an entry has all courses of its track, or all of those of `--quick`."""
+    """Whether an entry has all courses of its track, or all that `--quick` takes."""
     try:
         part = part_of(entry)
     except DatasetError:

@@ -131,7 +131,7 @@ class Links:
         if math.inf in rows:
             raise ValueError(
                 f"{topic} says twice, and not the same, where {short(name)} is in {short(parent)}; "
-                "expected one transform that holds for ever; give --poses"
+                "expected one transform, which never changes; give the poses with --poses"
             )
         times = sorted(rows)
         # before their filter has begun, drivers of odometry send quaternions of zeros

@@ -122,7 +122,7 @@ def examine(request: Request) -> Dataset:
     check_out(request.dataset, request.out)
     if (files := len(dataset.manifest.files)) > MOST_FILES:
         raise PublishError(
-            f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
+            f"{request.dataset}: has {files} files, more than the {MOST_FILES} that can be published; "
             "generate it again with a larger --shard-samples, which changes no sample"
         )
     described = dataset.manifest
@@ -130,9 +130,8 @@ def examine(request: Request) -> Dataset:
         _check_kind(described.kind, request.kind)
     if not described.noise_is_ours:
         raise PublishError(
-            f"its noise, {short(described.noise_stages)}, has stages that are none of scenegen's "
-            "own; publish does not import them, and so cannot say whether its command makes the "
-            "same ranges again"
+            f"its noise, {short(described.noise_stages)}, has stages of a user's own; publish does "
+            "not import them, and so cannot say whether its command makes the same ranges again"
         )
     if request.kind is not None:
         described = manifest.parse(
@@ -149,9 +148,9 @@ def _check_kind(kind: str, named: str | None) -> None:
     never imported because a manifest names it."""
     if kind != "scene" and kind not in KINDS.builtin and kind != named:
         raise PublishError(
-            f"the dataset's kind, {short(kind)}, is none of scenegen's own, and only its module "
-            "can say whether the recipe makes the same worlds again; give --kind with its name to "
-            "have it imported"
+            f"the dataset's kind, {short(kind)}, is a user's own, and only its module can say "
+            "whether the recipe makes the same worlds again; give --kind with its name to have it "
+            "imported"
         )
 
 
@@ -266,7 +265,7 @@ def check_out(dataset: Path, out: Path) -> None:
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
     target, source = real_path(out), real_path(dataset)
     if target.is_relative_to(source) or source.is_relative_to(target):
-        raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
+        raise PublishError(f"--out {out}: overlaps the dataset; choose another folder")
     files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
     # links count as files: what they lead to is not ours
     foreign = {str(path.relative_to(out)) for path in files}

@@ -193,13 +193,13 @@ def methods_of(looks: Sequence[Look], *, paths: bool = False) -> list[str]:
         paths: Count only predictions on which a path was planned.
 
     Raises:
-        DatasetError: There are none.
+        DatasetError: No sample has such a prediction.
     """
     guesses = [
         guess for look in looks for guess in look.guesses if guess.route is not None or not paths
     ]
     if not guesses:
-        fault = "no path is planned on what is predicted" if paths else "nothing is predicted"
+        fault = "no path was planned on a prediction" if paths else "nothing is predicted"
         raise DatasetError(
             f"{looks[0].name}: {fault}; give --weights or --predictions, and an existing --trial"
         )

@@ -199,7 +199,7 @@ def look_at(
         scans=[scan.points() for scan in scans],
         rays=sum(scan.ranges.size for scan in scans),
         known=read_part("known", lambda: sample.known),
-        scored=read_part("what scores count", lambda: scored_voxels(sample, grid, world)),
+        scored=read_part("the scored voxels", lambda: scored_voxels(sample, grid, world)),
         missing=tuple(missing),
     )
 
@@ -235,7 +235,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
     try:
         return replace(look, guesses=tuple(guesses(samples, index)))
     except ScenegenError as error:
-        line = f"{name}: what is predicted is not shown: {printable(error)}"
+        line = f"{name}: its prediction is not shown: {printable(error)}"
         return replace(look, missing=(*look.missing, line))
 
 
