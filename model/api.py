@@ -13,7 +13,7 @@ from scenegen.model.bench.methods import Completed, rows_of
 from scenegen.model.bench.report import build_report
 from scenegen.model.bench.run import bench_all
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import USUAL, BenchConfig, TrainConfig
+from scenegen.model.config import USUAL, BenchConfig, TrainConfig, is_own
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
@@ -73,7 +73,8 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
-    code = ",".join(config.network.own)
+    network = config.network
+    code = ",".join(filter(is_own, (network.variant, *network.inputs, *network.targets)))
     return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
 
 

@@ -106,7 +106,7 @@ def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, 
     try:
         config, grid = network_from(header)
         about = dict(header.get("about", {}))
-        check_own(path, own, *config.own)
+        check_own(path, own, config.variant, *config.inputs, *config.targets)
         # on "meta", a network takes no memory: the file is compared before anything is made of it
         with torch.device("cpu" if is_own(config.variant) else "meta"):
             network = build(config)

@@ -83,11 +83,13 @@ INPUTS = Registry(
 TARGETS = Registry(
     "target",
     {"occupancy": "scenegen.model.targets:Occupancy", "tudf": "scenegen.model.targets:Tudf"},
-    needs={"truth": "a method: (sample, grid) -> array", "loss": "a method"},
 )
 """Classes of what a network may predict; see `scenegen.model.targets.Target`."""
-TAKEN = ("observed", "known", "certain", "world", "viewpoint", "sha256", "probability")
-"""Names of maps in batches and files, which no target may have."""
+TAKEN = {
+    "occupancy", "tudf", "observed", "known", "certain", "loss", "lovasz", "regression", "eikonal",
+    "world", "viewpoint", "sha256", "occupancy_probability", "probability",
+}  # fmt: skip
+"""Names in batches, files and losses, which no target of a user's own may have."""
 
 METHODS = Registry(
     "method",
@@ -112,8 +114,7 @@ def is_own(name: str) -> bool:
 
 
 def target_name(name: str) -> str:
-    """What batches, outputs and predictions call the target `name`: "classes" for
-    "my_labels:Classes"."""
+    """What batches, outputs and predictions call a target: "classes" for "my_labels:Classes"."""
     return name.rpartition(":")[2].lower()
 
 
@@ -152,7 +153,7 @@ class NetworkConfig:
     """Names of the channels that the network takes, in their order (paper: the voxels that hold a
     return, alone); one's own as module:function."""
     targets: tuple[str, ...] = ()
-    """Names of what the network predicts besides its variant's; one's own as module:Class."""
+    """Names of what it predicts besides its variant's tasks; one's own as module:Class."""
     channels: tuple[int, ...] = number((), least=1, most=MOST_CLASSES)
     """How many channels each of these has; `train` takes it from the data."""
     width: int = number(8, least=1, most=MOST_WIDTH)
@@ -165,37 +166,23 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        for registry, names in (
-            (NETWORKS, [self.variant]),
-            (INPUTS, self.inputs),
-            (TARGETS, self.targets),
-        ):
+        known = (NETWORKS, [self.variant]), (INPUTS, self.inputs), (TARGETS, self.targets)
+        for registry, names in known:
             for name in names:
                 if not is_own(name) and name not in registry.builtin:
                     raise ValueError(registry.unknown(name))
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
-        usual = VARIANTS[self.variant].tasks if self.variant in VARIANTS else ()
-        names = [*usual, *map(target_name, self.targets), *self.inputs]
-        if len(set(names)) < len(names) or set(TAKEN) & {*map(target_name, self.targets)}:
-            raise ValueError(
-                f"targets = {short(self.targets)}: expected names of no other map, each once"
-            )
-        if self.channels and len(self.channels) != len(self.targets):
-            raise ValueError(
-                f"channels = {short(self.channels)}: expected a number for each of the "
-                f"{len(self.targets)} targets"
-            )
+        targets = [*map(target_name, self.targets)]
+        taken = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
+        own = {*map(target_name, filter(is_own, self.targets))}
+        if len(set(targets)) < len(targets) or taken & {*targets} or TAKEN & own:
+            raise ValueError(f"targets = {short(self.targets)}: expected new names, each once")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
                 "must be a multiple of the heads"
             )
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """The code of a user's own that it is made of, module:Object each."""
-        return tuple(filter(is_own, (self.variant, *self.inputs, *self.targets)))
 
     def channels_of(self, target: str) -> int:
         """How many channels a target has, called by its `target_name`."""
@@ -216,8 +203,7 @@ class NetworkConfig:
         if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MOST_FEATURES:
             raise ValueError(
                 f"maps of {shape} voxels at width {features}: expected "
-                f"{MOST_FEATURES // features} voxels at most; "
-                "use a smaller grid, or a smaller --width"
+                f"{MOST_FEATURES // features} voxels at most; give a smaller grid or --width"
             )
 
 

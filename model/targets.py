@@ -25,8 +25,6 @@ from scenegen.truth import distance_field
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from scenegen.model.losses import Coupled
-
 Terms = Mapping[str, "Tensor"]
 """Scalars of a loss, by name."""
 
@@ -63,14 +61,15 @@ class Target:
 
     @abstractmethod
     def loss(
-        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: "Coupled"
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "Tensor | tuple[Tensor, Terms]":
         """What is added to the loss of a batch, a scalar; and its terms, where it has several.
 
         Args:
             output: The network's, as the method `output` made it.
             batch: The inputs and the truth by name; of maps of real places, `known`, too.
-            objective: Has the `config`, the `grid`, and `mean(values, over)`.
+            objective: A `scenegen.model.losses.Coupled`; it has the `config`, the `grid`, and
+                `mean(values, over)`.
         """
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
@@ -88,7 +87,7 @@ class Occupancy(Target):
         return sample.occupancy
 
     def loss(
-        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: "Coupled"
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
         """Eq. 8 and the Lovász hinge, weighted."""
         config, truth = objective.config, (batch["occupancy"], batch.get("known"))
@@ -121,7 +120,7 @@ class Tudf(Target):
         return softplus(values)
 
     def loss(
-        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: "Coupled"
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
         """Eq. 9 and 10, weighted."""
         config, truth = objective.config, (batch["tudf"], batch.get("certain"))

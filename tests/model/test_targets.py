@@ -129,7 +129,7 @@ class Unweighted(Classes):
     def loss(self, output, batch, objective): return 3.0
 """
 SAID = """
-Plain       → lacks `truth`
+Plain       → expected a subclass of
 Gone        → has no Gone
 Short       → gives an array of int64 of shape
 Missing     → finds no number of channels
@@ -157,8 +157,9 @@ def test_a_dataset_without_labels_is_refused(here, folders):
     [
         {"targets": ("occupancy",)},
         {"targets": ("a:Known",)},
+        {"targets": ("a:Occupancy",), "variant": "tudf"},
         {"targets": ("a:Classes", "b:Classes")},
-        {"targets": ("a:Classes",), "channels": (2, 3)},
+        {"targets": ("a:Classes",), "channels": (0,)},
         {"targets": ("classes",)},
     ],
 )
