@@ -22,7 +22,7 @@ from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import make_recipe, preset, read_recipe
-from tests.command_line import rows
+from tests.scenegen import cases
 
 NASTY = """nasty = [
 0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
@@ -168,14 +168,7 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
         read_recipe(path, difficulty="easy")
 
 
-CLUTTER = """
-hard → [0.02, 0.08]  → 1 of the values of the easy preset and 0 of that one (density)
-easy → [0.05, 0.5]   → 1 of the values of the medium preset and 0 of that one (density)
-hard → [0.02, 0.081] →
-"""
-
-
-@pytest.mark.parametrize(("level", "density", "told"), rows(CLUTTER))
+@pytest.mark.parametrize(("level", "density", "told"), cases("recipe"))
 def test_a_difficulty_whose_values_are_anothers_is_refused(level, density, told):
     tables = {"difficulty": level, "world": {"density": json.loads(density)}}
     if told:

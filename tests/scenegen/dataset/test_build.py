@@ -4,9 +4,7 @@ for another."""
 import errno
 import hashlib
 import json
-import multiprocessing
 import os
-import pickle
 import shutil
 import threading
 import zlib
@@ -25,14 +23,13 @@ from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
 from scenegen.dataset.build import build
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.placed import read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import ShardSpec, read_report
-from scenegen.draw.draw import compile_truth
 from tests.command_line import rows
 from tests.conftest import DRAWN, THREE, picky_recipe, plan_of, small_recipe, stop_at_val
-from tests.scenegen.conftest import same, wait_for
+from tests.scenegen import cases
+from tests.scenegen.conftest import same
 from tests.scenegen.verification.forge import edit_manifest, read
 
 pytestmark = pytest.mark.usefixtures("drawn_once")
@@ -130,30 +127,6 @@ def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
     assert [(folder / name).stat().st_mtime_ns for name in kept] == before
 
 
-def test_a_dataset_does_not_shrink(folder):
-    before = content(folder)
-    with pytest.raises(DatasetError, match=r"counts\.train is 13 there, 7 asked for"):
-        make(folder, counts={"train": 7, "val": 9, "test": 9})
-    assert content(folder) == before
-
-
-def test_growth_that_is_killed_goes_on(folder, larger, monkeypatch):
-    written, original = [], shards.write_whole
-
-    def killed(path, content):
-        if len(written) == 2:
-            raise KeyboardInterrupt
-        written.append(path)
-        original(path, content)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(shards, "write_whole", killed)
-        with pytest.raises(KeyboardInterrupt):
-            make(folder, counts=MORE)
-    assert make(folder, counts=MORE).complete
-    assert content(folder) == content(larger)
-
-
 def test_a_lost_manifest_is_made_from_the_shards(folder):
     whole = content(folder)
     (folder / NAME).unlink()
@@ -161,35 +134,6 @@ def test_a_lost_manifest_is_made_from_the_shards(folder):
         make(folder, seed=4)
     assert make(folder).samples_written == 0
     assert content(folder) == whole
-
-
-def test_a_job_reads_its_own_part_and_the_last_one_hashes_no_samples_of_others(
-    tmp_path, monkeypatch, undisturbed
-):
-    parts, read, checked, check = plan(tmp_path / "d"), [], set(), ShardFile.check
-    assert len(parts.shards) == 5
-    assert build(parts, shard_range=(0, 2)).digest is None
-
-    def noted(folder, task):
-        read.append(parts.shards.index(task[0]))
-        return read_report(folder, task)
-
-    monkeypatch.setattr("scenegen.dataset.state.read_report", noted)
-    monkeypatch.setattr(
-        ShardFile, "check", lambda shard, row: checked.add(shard.name) or check(shard, row)
-    )
-    build(parts, shard_range=(2, 4))
-    assert read == []
-    build(parts, shard_range=(1, 4))
-    assert read == [1, 2, 3]
-    assert len(read_notes(parts.folder, parts.shards[0].parameters)) == 4
-    assert read_notes(parts.folder, "0" * 64) == {}
-    (parts.folder / "dataset.part-0123456789ab.json").write_text("{")  # counts as not there
-    read.clear()
-    assert build(parts, shard_range=(4, 5)).complete
-    assert sorted(read) == [0, 1, 2, 3]
-    assert not checked
-    assert content(tmp_path / "d") == undisturbed
 
 
 def test_what_is_finished_is_written_down_on_the_way(tmp_path, monkeypatch):
@@ -355,24 +299,10 @@ def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path):
     assert make(tmp_path / "d").samples_written == 0 < before.samples_written
 
 
-BEYOND = """
-{"counts": {"train": 1000000000, "val": 3, "test": 4}} → shards of 6; give 5001 or more
-{"seed": 1000000000000000000000000000000}                 → ^--seed 10+: expected a whole number
-{"shard_samples": 1000000000000}                 → ^--shard-samples 10+: expected a whole number
-{"shard_samples": 0}                             → ^--shard-samples 0: expected a whole number
-"""
-
-
-@pytest.mark.parametrize(("asked", "said"), rows(BEYOND))
+@pytest.mark.parametrize(("asked", "said"), cases("dataset/build"))
 def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, asked, said):
     with pytest.raises(DatasetError, match=said):
         plan(tmp_path / "d", **json.loads(asked))
-
-
-def test_a_plan_of_many_samples_is_small(tmp_path):
-    counts = {"train": 10**6, "val": 0, "test": 0}
-    shards = plan(tmp_path / "d", counts=counts, shard_samples=10**5).shards
-    assert all(len(pickle.dumps(shard.numbers)) < 100 for shard in shards)
 
 
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
@@ -456,18 +386,3 @@ def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch,
             make(tmp_path / "d", workers=2)
     make(tmp_path / "d")
     assert content(tmp_path / "d") == undisturbed
-
-
-def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_path, monkeypatch):
-    done, before = tmp_path / "done", set(multiprocessing.active_children())
-
-    def there(*words):
-        compile_truth(*words)
-        done.touch()
-
-    monkeypatch.setattr(shards, "no_kernels", lambda package: True)
-    monkeypatch.setattr(shards, "compile_truth", there)
-    monkeypatch.setattr(ShardSpec, "draw", lambda self, unit: wait_for(done.exists, 120))
-    plan_of(tmp_path / "d", counts=COUNTS).shards[0].prepare(2)
-    assert done.exists()
-    assert set(multiprocessing.active_children()) <= before

@@ -125,13 +125,6 @@ def test_other_noise_gives_what_would_have_been_drawn_with_it(made, noisy, tmp_p
     assert digest_like(original, tmp_path / "d", noise=chain) == expected.digest
 
 
-def test_another_engine_scans_from_the_same_poses(made, tmp_path):
-    pair = built(plan_like(made, tmp_path / "d", engine="mujoco"))
-    assert (pair.manifest.engine, pair.manifest.like) == ("mujoco", Dataset(made).digest)
-    samples = zip(Dataset(made).split("train"), pair.split("train"), strict=True)
-    assert all(np.array_equal(one.position, other.position) for one, other in samples)
-
-
 def test_fewer_scans_are_those_that_would_have_been_drawn(made, several, tmp_path):
     digest = digest_like(several.folder, tmp_path / "d", mapping={"scans": 1})
     assert digest == Dataset(made).digest
@@ -155,16 +148,6 @@ def test_parts_are_those_of_the_original(tmp_path):
     build(plan_like(tmp_path / "d", tmp_path / "noisy", noise=Noise.parse("range")))
     again = built(plan_like(tmp_path / "noisy", tmp_path / "clean", noise=Noise()))
     assert (again.digest, again.manifest.parts) == (original.digest, original.manifest.parts)
-
-
-def test_what_is_interrupted_goes_on(noisy, tmp_path):
-    plan = plan_like(noisy.folder, tmp_path / "d", noise=Noise())
-    build(plan, shard_range=(0, 3))
-    (plan.folder / "train-00001.h5").unlink()
-    assert not Dataset(plan.folder, partial=True).manifest.complete
-    assert build(plan, workers=2).complete
-    build(plan_like(noisy.folder, tmp_path / "whole", noise=Noise()))
-    assert contents(plan.folder) == contents(tmp_path / "whole")
 
 
 @pytest.mark.parametrize(("path", "value"), [("generator", GENERATOR + 1), ("recipe.version", 7)])

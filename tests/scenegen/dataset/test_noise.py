@@ -16,8 +16,8 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, NoiseEntry
 from scenegen.verification import verify
 from scenegen.worlds.recipe import preset, read_recipe
-from tests.command_line import rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen import cases
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -94,30 +94,7 @@ def test_ranges_with_noise_do_not_pass_as_clean(folder):
     assert "laws" in failed(folder, quick=True)
 
 
-def test_noise_that_other_software_made_is_made_again_all_the_same(folder):
-    software = forge.read(folder)["software"] | {"numpy": "0.1"}
-    forge.sign(folder, software=software)
-    report = verify(folder)
-    assert (report.ok, report.differing) == (True, ())
-    assert not [check for check in report.checks if check.skipped]
-    noted(folder, stages=SPELLED.replace("0.02", "0.019"), bound_m=0.076)
-    differing = {check.name: check.differing for check in verify(folder).checks}
-    examined = sum(COUNTS.values())  # of the small shards, all samples are
-    assert differing["rays"] == {"samples": examined}
-    assert differing["regenerated"]["flights"] > 0
-
-
-WRONG = r"""
-recipe.noise         → {"stages": "range"} → bound_m
-recipe.noise.bound_m → -1.0                → recipe.noise.bound_m
-recipe.noise.stages  → "a\nb"              → recipe.noise.stages
-recipe.noise.version → 0                   → recipe.noise.version
-recipe.noise         → 5                   → recipe.noise
-like                 → "x"                 → like
-"""
-
-
-@pytest.mark.parametrize(("path", "value", "told"), rows(WRONG))
+@pytest.mark.parametrize(("path", "value", "told"), cases("dataset/noise"))
 def test_a_strangers_word_is_not_trusted(noisy, tmp_path, path, value, told):
     shutil.copy(noisy / NAME, tmp_path)
     with pytest.raises(DatasetError, match=told):

@@ -28,7 +28,6 @@ from scenegen.view.inspect import inspect
 from tests.command_line import done, refused
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.scenegen.dataset import NASTY, put, samples_of
-from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="session")
@@ -123,20 +122,6 @@ def test_a_selection_reads_as_the_samples_that_were_chosen(several, tmp_path):
         assert samples_of(selection, split) == [every[n] for n in numbers[split]]
         names = dataset.split(split).names
         assert selection.split(split).names == [names[n] for n in numbers[split]]
-
-
-def test_a_selection_of_a_selection_chooses_among_its_samples(several, tmp_path):
-    source = open_data(several)
-    for n, text in enumerate(("viewpoint>=1", "viewpoint<2", "sample>=2")):
-        choice = with_conditions(text)
-        content = encode_selection(source, choose(source, choice), choice, tmp_path)
-        (tmp_path / f"{n}.json").write_bytes(content)
-        source = open_data(tmp_path / f"{n}.json")
-    dataset = open_data(several)
-    numbers = choose(dataset, with_conditions("viewpoint=1"))
-    for split in SPLITS:
-        every = samples_of(dataset, split)
-        assert samples_of(source, split) == [every[n] for n in numbers[split]][2:]
 
 
 def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
@@ -242,13 +227,6 @@ def test_figures_of_another_shape_or_type_are_measured_again(kept):
     for content in (encode_measures(table[1:]), b"", hashlib.sha256().digest(), b"x" * 999):
         measures_file(kept).write_bytes(content)
         assert kept_measures(kept) == {}
-
-
-def test_figures_of_a_dataset_without_samples_are_read(kept):
-    forge.edit_manifest(kept.folder, counts=dict.fromkeys(SPLITS, 0), shards=[])
-    empty = Dataset(kept.folder)
-    measures_file(empty).write_bytes(encode_measures(np.empty((0, len(COLUMNS)))))
-    assert [len(own) for own in kept_measures(empty).values()] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("text", ["occupied", ">3", "weight>3", "occupied>>3", "free=1e"])

@@ -18,10 +18,9 @@ from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from scenegen.worlds.tables import read_toml
-from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
+from tests.scenegen import cases
 from tests.scenegen.conftest import built, drawn_unit
-from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="module")
@@ -98,20 +97,7 @@ def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
         sensor_of(entry, tmp_path)
 
 
-WRONG = """
-sha256      → "0000"
-sha256      → 0
-sensor      → "antigravity:Flight"
-rays        → "../../etc/passwd"
-shape       → [1000000, 1000000]
-shape       → []
-max_range_m → NaN
-made_by     → "two\\nlines"
-rows        → 16
-"""
-
-
-@pytest.mark.parametrize(("name", "value"), rows(WRONG))
+@pytest.mark.parametrize(("name", "value"), cases("dataset/sensor"))
 def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     table = BeamTable(rays=UNIT)
     write_rays(table, tmp_path)
@@ -120,20 +106,6 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     with pytest.raises(BrokenError) as error:
         sensor_of(entry | {name: json.loads(value)}, tmp_path)
     assert "\n" not in str(error.value)
-
-
-def test_a_table_that_is_not_the_manifests_is_refused(tmp_path):
-    write_rays(BeamTable(rays=-UNIT), tmp_path)
-    with pytest.raises(BrokenError, match=r"rays\.npy: is not the file whose sha256"):
-        sensor_of(sensor_entry(BeamTable(rays=UNIT)), tmp_path)
-
-
-def test_no_reader_imports_what_a_manifest_names(made, trap):
-    folder = forge.edit_at(forge.copy(made, trap / "data"), "recipe.lidar.sensor", '"trap:Sensor"')
-    with pytest.raises(DatasetError, match=r"recipe\.lidar"):
-        Dataset(folder)
-    with pytest.raises(DatasetError):
-        Dataset(folder).manifest.recipe  # noqa: B018
 
 
 ODD = "y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"

@@ -24,7 +24,6 @@ from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
-from scenegen.fly.serve import _answer
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds import kinds as recipes
@@ -115,15 +114,6 @@ def test_no_bound_of_the_vehicle_is_exceeded(seed):
         assert 2 * math.asin(math.hypot(x, y)) <= math.radians(vehicle.tilt_deg) + 1e-9
 
 
-def test_what_is_asked_for_is_reached_and_kept():
-    state, command = AT_REST, np.float32([1.2, -0.5, 0.3, 0.5])
-    for _ in range(40):
-        state = advance(state, command, VEHICLE)[-1]
-    assert np.allclose(state[3:6], command[:3], atol=1e-3)
-    assert np.allclose(state[6:9], 0.0, atol=1e-2)
-    assert math.isclose(math.atan2(state[10], state[9]), 2.0, abs_tol=1e-6)
-
-
 def test_a_collision_is_what_dense_samples_say():
     """At fifty points of every step, by the distances of spheres alone."""
     hits = 0
@@ -206,19 +196,6 @@ def test_what_a_robot_says_is_counted_and_bounded(said, invalid, speeding):
     flown = flown_by(Scripted([json.loads(said), None]))
     assert (flown.invalid - 1, flown.speeding) == (int(invalid), int(speeding))
     assert np.linalg.norm(flown.commands[:, :3], axis=1).max() <= VEHICLE.speed_mps
-
-
-def test_what_is_too_fast_keeps_its_direction():
-    (command,), exceeds = bounded([3e300, -4e300, 0, -1e6], VEHICLE)
-    assert exceeds
-    assert_allclose(command, [1.2, -1.6, 0, -math.pi / 2], rtol=1e-5)
-
-
-def test_a_robot_in_python_answers_with_numbers_alone():
-    answers = (["1", 0, 0, 0], [True, 0, 0, 0], [1j, 0, 0, 0], [[1, 2], [3]], {}, None)
-    assert {_answer(action) for action in answers} == {"null"}
-    for action in ([1, 2, 0.5, 0], np.float32([1, 2, 0.5, 0]), [np.array(1.0), np.int8(2), 0.5, 0]):
-        assert json.loads(_answer(action)) == [1, 2, 0.5, 0]
 
 
 def test_of_a_robot_that_says_nothing_the_rest_of_its_plan_is_flown():

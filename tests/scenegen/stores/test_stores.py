@@ -24,8 +24,9 @@ from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
 from scenegen.verification import verify
-from tests.command_line import done, rows, run
+from tests.command_line import done, run
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
+from tests.scenegen import cases
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -259,14 +260,6 @@ take {NAME} --split train -o s3://lab/train
 take {NAME} --split test -o s3://lab/test
 merge s3://lab/train s3://lab/test -o s3://lab/both
 """
-NOT_TAKEN = f"""
-take {NAME} --n 1 -o {NAME} --force  → itself
-rescan {NAME} -o {NAME} --force      → itself
-convert {NAME} --to webdataset -o s3://lab/x → s3://… is not written to
-world {NAME} 0 -o s3://lab/w.xml     → s3://… is not written to
-generate pillar --out gs://lab/x     → gs://… is not written to
-inspect s3://lab/none                → s3://lab/none: not a dataset, it has no dataset.json
-"""
 
 
 def test_commands_take_a_place_and_refuse_it_where_they_cannot(
@@ -278,7 +271,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
         done(capsys, f"{words} --quiet")
     for name in ("again", "both"):
         assert verify(locate(f"s3://lab/{name}", whole=True), quick=True).ok
-    for words, told in rows(NOT_TAKEN):
+    for words, told in cases("stores/stores_not_taken"):
         code, _, wrong = run(capsys, words)
         assert code in (1, 2)
         assert told in wrong
@@ -377,18 +370,7 @@ def test_an_odd_servers_answer_ends_in_one_line(answer, verbs, bucket, monkeypat
         assert not {"AKIATOLD", "secret"} & set(line.split())
 
 
-REFUSALS = """
-403 → QuotaExceeded       → the store is full (403 QuotaExceeded)
-507 → InsufficientStorage → the store is full
-400 → ExpiredToken        → the store refuses the credentials (400 ExpiredToken)
-403 → AccessDenied        → the store refuses the credentials (403 AccessDenied)
-404 → NoSuchBucket        → there is no such bucket (404 NoSuchBucket)
-500 → InternalError       → the store does not answer (500 InternalError)
-412 → PreconditionFailed  → somebody else has put other bytes there
-"""
-
-
-@pytest.mark.parametrize(("status", "code", "told"), rows(REFUSALS))
+@pytest.mark.parametrize(("status", "code", "told"), cases("stores/stores"))
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
     status, code, told, bucket, monkeypatch
 ):

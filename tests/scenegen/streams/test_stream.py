@@ -13,21 +13,16 @@ import pytest
 
 import scenegen
 from scenegen import SPLITS
-from scenegen.base.errors import DatasetError, GenerationError, SceneError, ScenegenError
+from scenegen.base.errors import DatasetError, SceneError, ScenegenError
 from scenegen.dataset.build import plan_dataset
 from scenegen.draw.sample import Sample
 from scenegen.draw.source import DrawnWorlds, read_scenes
-from scenegen.streams.mixture import Component
 from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
 from tests.scenegen.conftest import built, same
 
 SCENES = ROOT / "scenes"
-
-
-def never(component, unit):
-    raise AssertionError("drawn")
 
 
 @pytest.mark.parametrize(
@@ -102,29 +97,6 @@ def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
     assert same(pickle.loads(pickle.dumps(helped))[5], alone[5])
     helped.close()
     assert not any(process.is_alive() for process in processes)
-
-
-def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for(monkeypatch):
-    original = Component.draw
-
-    def draw(component, unit):
-        if unit == 3:
-            raise GenerationError("train world 3: all draws rejected")
-        return original(component, unit)
-
-    monkeypatch.setattr(Component, "draw", draw)
-    stream = scenegen.stream(small_recipe(), workers=1)
-    reader = iter(stream)
-    next(reader)
-    assert (0, 1) in stream._ahead
-    for _ in range(8):  # while unit 3 fails
-        next(reader)
-    with pytest.raises(GenerationError, match="world 3"):
-        next(reader)
-    monkeypatch.setattr(Component, "draw", never)
-    stream.workers = 0
-    assert stream[7].viewpoint == 1  # kept
-    stream.close()
 
 
 def test_reading_goes_on_where_a_state_says():

@@ -21,7 +21,6 @@ from scenegen.view.glb import surfaces
 from scenegen.view.look import Guess, look_into
 from scenegen.view.page import Live, packed
 from tests.command_line import refused
-from tests.scenegen.verification.forge import edit_manifest
 from tests.scenegen.view.test_page import HOSTILE, Seen
 
 
@@ -108,18 +107,6 @@ def test_a_stranger_s_name_is_refused(made):
                 status, _, text = ask(server, "/sample/0/train/0", Host=host)
                 assert (status, "points" in text) == (expected, expected == 200), host
         assert not server.allows(socket.gethostname())  # it is served on the loopback alone
-
-
-def test_what_is_damaged_is_told_and_the_rest_is_served(dataset):
-    (dataset / "train-00001.h5").unlink()  # samples 3 to 5
-    edit_manifest(dataset, complete=False, digest=None)
-    with served(dataset) as server:
-        status, _, text = ask(server, "/sample/0/train/4")
-        assert status == 404
-        assert "train-00001.h5" in json.loads(text)["error"]
-        status, _, text = ask(server, "/sample/0/train/6")
-        assert status == 200
-        assert "incomplete" in json.loads(text)["notes"][0]
 
 
 def test_an_address_that_cannot_be_had_is_an_error(made, capsys):
