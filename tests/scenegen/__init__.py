@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import pytest
+
+from scenegen.base.errors import ScenegenError
 from tests.command_line import rows
 
 
@@ -11,3 +14,10 @@ def cases(name):
     room, _, heading = name.rpartition("/")
     text = (Path(__file__).parent / room / "refusals.txt").read_text(encoding="utf-8")
     return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
+
+
+def refuses(told, action, *given, **more):
+    """Do what cannot be done: it ends in one of our errors, whose line, as every test sees to, is
+    one, and says this."""
+    with pytest.raises(ScenegenError, match=told):
+        action(*given, **more)

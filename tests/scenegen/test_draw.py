@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from scenegen.base.errors import GenerationError
 from tests.conftest import picky_recipe, small_recipe
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import drawn_unit, same
 
 
@@ -58,5 +57,4 @@ def test_impossible_parameters_end_and_are_named(tables, named):
     tables = {"accept": {}} | json.loads(tables)
     tables["accept"]["max_draws"] = 4
     recipe = small_recipe(**tables)
-    with pytest.raises(GenerationError, match=named):
-        drawn_unit(recipe)
+    refuses(named, drawn_unit, recipe)

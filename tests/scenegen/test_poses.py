@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lidarsim.pose import rotate
-from scenegen.base.errors import DatasetError
 from scenegen.worlds.poses import read_poses
+from tests.scenegen import refuses
 
 BEGIN_S = 1_700_000_000
 
@@ -86,8 +86,7 @@ def test_nanoseconds_apart_and_words_in_other_columns(tmp_path):
         assert np.allclose([pose.position for pose in track.poses], rows[:, 1:4])
         damaged = "\n".join([header, *lines[:2], lines[2].replace(repr(rows[2, 1].item()), "none")])
         (tmp_path / "poses.csv").write_text(damaged)
-        with pytest.raises(DatasetError, match=r"(row 3|line 4): .*finite numbers"):
-            read_poses(tmp_path / "poses.csv")
+        refuses(r"(row 3|line 4): .*finite numbers", read_poses, tmp_path / "poses.csv")
 
 
 def test_matrices_are_told_from_columns(tmp_path):
@@ -103,8 +102,7 @@ def test_matrices_are_told_from_columns(tmp_path):
 def test_an_order_that_would_tilt_a_level_sensor_is_asked_for(tmp_path):
     rows, _ = table()
     write(tmp_path / "poses", "", "", "0 1 2 3 7 4 5 6", 1, rows)
-    with pytest.raises(DatasetError, match="as w x y z they keep it level; name the columns"):
-        read_poses(tmp_path / "poses")
+    refuses("as w x y z they keep it level; name the columns", read_poses, tmp_path / "poses")
     write(tmp_path / "poses", "", "", "0 1 2 3 4 5 6 7", 1, table(level=False)[0])
     assert len(read_poses(tmp_path / "poses").poses) == 5
 
@@ -126,12 +124,10 @@ def test_what_can_be_read_in_two_ways_is_refused(tmp_path, content):
     if REFUSED[content] is None:  # names as ours go before others
         assert read_poses(tmp_path / "poses").poses[0].quaternion.tolist() == [1, 0, 0, 0]
         return
-    with pytest.raises(DatasetError, match=REFUSED[content]):
-        read_poses(tmp_path / "poses")
+    refuses(REFUSED[content], read_poses, tmp_path / "poses")
 
 
 def test_times_of_any_pace_do_if_none_are_needed(tmp_path):
     (tmp_path / "poses").write_text("0 1 2 3 0 0 0 1\n900 4 5 6 0 0 0 1")
-    with pytest.raises(DatasetError, match="900 apart"):
-        read_poses(tmp_path / "poses")
+    refuses("900 apart", read_poses, tmp_path / "poses")
     assert read_poses(tmp_path / "poses", timed=False).poses[1].position.tolist() == [4, 5, 6]

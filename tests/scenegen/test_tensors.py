@@ -15,6 +15,7 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.draw.sample import FIELDS, GROUPS, Sample, Samples, Schema
 from tests.command_line import example
 from tests.conftest import dataset_in, small_recipe
+from tests.scenegen import refuses
 
 torch = pytest.importorskip("torch")
 from torch.utils.data import DataLoader  # noqa: E402
@@ -140,13 +141,11 @@ def test_fields_of_several_shapes_are_left_out_by_name():
 
 
 def test_what_cannot_be_is_said_in_a_line(samples, monkeypatch):
-    with pytest.raises(DatasetError, match=r"no field 'tsdf'; expected observed, free"):
-        samples.torch(["tsdf"])
+    refuses(r"no field 'tsdf'; expected observed, free", samples.torch, ["tsdf"])
     for name in ("scenegen.draw.tensors", "torch"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(DatasetError, match=r"torch\(\) needs torch.*\[train\]"):
-        samples.torch()
+    refuses(r"torch\(\) needs torch.*\[train\]", samples.torch)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

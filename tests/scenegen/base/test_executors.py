@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from scenegen.base.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.base.errors import GenerationError
 from scenegen.base.executors import executor, identity
 from scenegen.base.ray import sent, taken
 from scenegen.base.workers import rank_of
 from scenegen.dataset.build import build
 from tests.conftest import COUNTS, contents, plan_of
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.base.backwards import Backwards
 
 
@@ -48,14 +48,12 @@ def test_the_environment_tells_the_rank_or_one_line_says_why_not(environment, ex
     if expected.startswith("("):
         assert str(rank_of(given)) == expected
         return
-    with pytest.raises(DatasetError, match=f"^--on rank: .*{expected}"):
-        rank_of(given)
+    refuses(f"^--on rank: .*{expected}", rank_of, given)
 
 
 @pytest.mark.parametrize(("place", "told"), cases("base/executors"))
 def test_what_is_no_executor_is_refused(place, told):
-    with pytest.raises(ScenegenError, match=told):
-        executor(place, 1)
+    refuses(told, executor, place, 1)
 
 
 def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):
@@ -95,5 +93,4 @@ def test_a_machine_without_scenegen_says_so():
     given = marshal.dumps((there.__code__, cells))
     said, node = subprocess.check_output(words, input=given).decode().splitlines()
     assert node == socket.gethostname()
-    with pytest.raises(GenerationError, match=rf"No module named 'scenegen'; .* \(on {node}\)"):
-        taken(said, node)
+    refuses(rf"No module named 'scenegen'; .* \(on {node}\)", taken, said, node)

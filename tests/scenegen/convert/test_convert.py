@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from lidarsim.engines.voxels import FREE, OCCUPIED
-from scenegen.base.errors import DatasetError
 from scenegen.convert import Choices
 from scenegen.convert.convert import convert
 from scenegen.convert.formats import SemanticKitti
@@ -23,6 +22,7 @@ from scenegen.draw.source import read_world
 from scenegen.worlds.place import parse_octomap
 from tests.command_line import done, refused, run
 from tests.conftest import contents
+from tests.scenegen import refuses
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 MASKS = ("observed", "free", "occupancy")
@@ -254,8 +254,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     assert (done.written, done.there) == (0, 2)
     assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
-        with pytest.raises(DatasetError, match="another command"):
-            converted(made, out, other, **choices)
+        refuses("another command", converted, made, out, other, **choices)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ModuleNotFoundError):
         converted(made, tmp_path / "lost", "rerun")

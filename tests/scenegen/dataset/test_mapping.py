@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
-from scenegen.base.errors import DatasetError, RecipeError
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.read import Dataset
 from scenegen.draw.draw import UnitKey
@@ -21,7 +20,7 @@ from scenegen.worlds.mapping import Mapper
 from scenegen.worlds.recipe import make_recipe
 from tests.command_line import done, refused
 from tests.conftest import COUNTS, dataset_in, small_recipe
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -153,14 +152,18 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
 @pytest.mark.parametrize(("path", "value", "told"), cases("dataset/mapping"))
 def test_a_strangers_word_is_not_trusted(several, tmp_path, path, value, told):
     folder = forge.edit_at(forge.copy(several, tmp_path / "d"), path, value)
-    with pytest.raises(DatasetError, match=told):
-        _ = Dataset(folder).split("train")[0].observed
+    refuses(told, lambda: Dataset(folder).split("train")[0].observed)
 
 
 def test_too_many_rays_are_refused():
     tables = {"mapping": {"scans": 100}, "lidar": {"rows": 1000, "columns": 100}}
-    with pytest.raises(RecipeError, match=r"scans = 100: of 100000 rays each; expected 40 at most"):
-        make_recipe("pillar", tables, where="test")
+    refuses(
+        r"scans = 100: of 100000 rays each; expected 40 at most",
+        make_recipe,
+        "pillar",
+        tables,
+        where="test",
+    )
 
 
 def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small, tmp_path, capsys):

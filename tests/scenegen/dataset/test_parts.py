@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import scenegen
-from scenegen.base.errors import AskedError, RecipeError
 from scenegen.draw.parts import PARTS
 from scenegen.draw.parts.normals import Normals
 from scenegen.draw.sample import GROUPS
@@ -15,6 +14,7 @@ from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.command_line import done
 from tests.conftest import dataset_in, small_recipe
+from tests.scenegen import refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -125,7 +125,5 @@ def test_options_of_parts_make_a_dataset_with_them(tmp_path, small, capsys):
 
 
 def test_a_part_that_nobody_knows_is_refused_by_name():
-    with pytest.raises(AskedError, match="colour"):
-        scenegen.generate("pillar", 1, out="x", colour=True)
-    with pytest.raises(RecipeError, match="expected one of class, name"):
-        scenegen.generate("pillar", 1, out="x", labels="colour")
+    refuses("colour", scenegen.generate, "pillar", 1, out="x", colour=True)
+    refuses("expected one of class, name", scenegen.generate, "pillar", 1, out="x", labels="colour")

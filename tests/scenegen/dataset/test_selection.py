@@ -27,6 +27,7 @@ from scenegen.dataset.selection import (
 from scenegen.view.inspect import inspect
 from tests.command_line import done, refused
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen import refuses
 from tests.scenegen.dataset import NASTY, put, samples_of
 
 
@@ -127,8 +128,7 @@ def test_a_selection_reads_as_the_samples_that_were_chosen(several, tmp_path):
 def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
     shutil.rmtree(folder / "pillar")
     dataset_in(folder / "pillar", seed=9, counts=COUNTS)
-    with pytest.raises(DatasetError, match="choose again"):
-        open_data(written)
+    refuses("choose again", open_data, written)
 
 
 @pytest.mark.parametrize("numbers", ["[1, 0]", "[2, 2]", "[0, 11]", "[99999999999999999999]"])
@@ -155,8 +155,7 @@ def test_no_value_in_a_selection_ends_in_a_traceback(written, path):
 @pytest.mark.parametrize("content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b"{}", b"\0" * 99])
 def test_what_is_no_selection_is_refused(tmp_path, content):
     (tmp_path / "s.json").write_bytes(content)
-    with pytest.raises(DatasetError, match=r"s\.json"):
-        open_data(tmp_path / "s.json")
+    refuses(r"s\.json", open_data, tmp_path / "s.json")
 
 
 def test_the_command_writes_what_every_command_reads(several, tmp_path, capsys):
@@ -174,8 +173,7 @@ def test_where_no_sample_is_as_asked_for_nothing_is_written(several, tmp_path, c
 def test_means_over_a_world_are_chosen_by_where_measures_are_kept(folder):
     dataset = Dataset(folder / "pillar")
     choice = with_conditions("world_occupied>=0.02", splits=("train",))
-    with pytest.raises(DatasetError, match="inspect"):
-        choose(dataset, choice)
+    refuses("inspect", choose, dataset, choice)
     inspect(dataset, keep=True)
     shares = {}
     for sample in dataset.split("train"):
@@ -218,8 +216,7 @@ def test_figures_that_are_signed_and_false_are_refused(kept):
     table = table_of(kept)
     table[:, COLUMNS.index("occupied")] += 0.1
     measures_file(kept).write_bytes(encode_measures(table))
-    with pytest.raises(DatasetError, match="measure again"):
-        choose(kept, with_conditions("occupied>=0.02"))
+    refuses("measure again", lambda: choose(kept, with_conditions("occupied>=0.02")))
 
 
 def test_figures_of_another_shape_or_type_are_measured_again(kept):

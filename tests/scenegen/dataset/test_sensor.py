@@ -13,13 +13,13 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
-from scenegen.base.errors import BrokenError, DatasetError
+from scenegen.base.errors import BrokenError
 from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from scenegen.worlds.tables import read_toml
 from tests.conftest import plan_of, small_recipe
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import built, drawn_unit
 
 
@@ -55,8 +55,7 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
     assert np.load(tmp_path / RAYS, allow_pickle=False).shape == (9, 24, 4)
     assert verify(tmp_path).ok
     (tmp_path / RAYS).unlink()
-    with pytest.raises(DatasetError, match=r"/rays\.npy: is missing.*; copy the dataset again"):
-        Dataset(tmp_path)
+    refuses(r"/rays\.npy: is missing.*; copy the dataset again", Dataset, tmp_path)
     assert build_with(tmp_path, table).lidar == table
     raster = Lidar(rows=8, columns=24)
     assert build_with(tmp_path, raster, force=True).lidar == raster
@@ -93,8 +92,7 @@ HEADER = (
 def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
     (tmp_path / RAYS).write_bytes(content)
     entry = sensor_entry(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
-    with pytest.raises(BrokenError, match=re.escape(told)):
-        sensor_of(entry, tmp_path)
+    refuses(re.escape(told), sensor_of, entry, tmp_path)
 
 
 @pytest.mark.parametrize(("name", "value"), cases("dataset/sensor"))
@@ -124,6 +122,11 @@ def test_no_text_of_a_manifest_adds_a_line_to_its_recipe_file(table, trap):
 
 
 def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):
-    with pytest.raises(DatasetError, match="unknown engine 'mujocco'; did you mean 'mujoco'"):
-        build_with(tmp_path / "data", Lidar(), "mujocco")
+    refuses(
+        "unknown engine 'mujocco'; did you mean 'mujoco'",
+        build_with,
+        tmp_path / "data",
+        Lidar(),
+        "mujocco",
+    )
     assert not (tmp_path / "data").exists()

@@ -10,17 +10,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
-from scenegen.base.errors import RecipeError
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.kinds import find_kind, kind_names
 from scenegen.worlds.kinds.geometric import Geometric
 from scenegen.worlds.kinds.pillar import Pillar
-from scenegen.worlds.labels import class_names, labels_by
+from scenegen.worlds.labels import class_names, classes_of, labels_by
 from scenegen.worlds.recipe import make_recipe, preset
 from scenegen.worlds.world import compile_world, write_world
 from tests.command_line import rows
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.kinds import Geom, draw
 
@@ -100,8 +99,10 @@ def test_what_would_take_too_much_memory_is_refused(name, given):
 )
 def test_what_does_not_go_together_is_refused(name, given):
     drawn = DrawnWorlds(make_recipe(name, {"world": given, "flight": {"margin_m": 0}}))
-    with pytest.raises(RecipeError, match="take values nearer to the preset's"):
-        drawn.world("train", 0, rng=np.random.default_rng(0))
+    refuses(
+        "take values nearer to the preset's",
+        lambda: drawn.world("train", 0, rng=np.random.default_rng(0)),
+    )
 
 
 def world_of(kind, seed):
@@ -119,7 +120,7 @@ def test_every_solid_is_of_a_class(name):
     assert set(named) <= set(CLASSES)
     labels = labels_by("class", ())
     assert labels.classes == ("nothing", *CLASSES)
-    assert [labels.classes[number] for number in labels.of(world)] == named
+    assert [labels.classes[number] for number in classes_of(world, labels)] == named
 
 
 @SLABS

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from scenegen.base.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import RawTimes, find_clock
 from scenegen.logs.read import read_log
 from tests.command_line import refused, rows, run
+from tests.scenegen import refuses
 from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, SPEED_MPS, drive, moving, sweeps
 
 NEAR = Fusing(every=1, reach_m=15, rise_m=12, deskew=True)
@@ -112,8 +112,7 @@ def test_from_0_to_1_within_two_seconds_cannot_be_told():
 def test_one_scan_of_impossible_times_stops_the_run(tmp_path):
     bag, _ = drive(lambda u, stamp: {"t": u * (30 if stamp % 1 > 0.25 and stamp % 1 < 0.35 else 1)})
     log = read_log(moving(bag).write(tmp_path / "bag"))
-    with pytest.raises(DatasetError, match=r"scan 3, at .* has no times .* from scan 3 of 6"):
-        ingest(log, tmp_path / "out", NEAR)
+    refuses(r"scan 3, at .* has no times .* from scan 3 of 6", ingest, log, tmp_path / "out", NEAR)
 
 
 def test_messages_that_come_twice_or_late_are_deskewed(tmp_path):

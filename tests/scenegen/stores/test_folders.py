@@ -2,16 +2,12 @@
 nothing else changes. Here, ten take the place of a thousand."""
 
 import pytest
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_merge, plan_take
-from scenegen.dataset.rescan import plan_rescan
 
 from scenegen import load
 from scenegen.base.files import names_in
 from scenegen.base.stores import Store
-from scenegen.dataset import manifest, rules
+from scenegen.dataset import manifest, schema
 from scenegen.dataset.build import build
-from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from tests.conftest import plan_of
 
@@ -20,7 +16,7 @@ DEEP = "train-0001x/train-00010.h5"
 
 @pytest.fixture(autouse=True)
 def ten(drawn_once, monkeypatch):
-    monkeypatch.setattr(rules, "DIGITS", 1)
+    monkeypatch.setattr(schema, "INDEX_DIGITS", 1)
 
 
 def plan(folder, train=36, seed=5):
@@ -56,19 +52,6 @@ def test_a_dataset_in_folders_is_the_same_and_is_gone_on_with(deep, digest):
     assert "train-0001x/train-00010.worlds.zip" not in names_in(deep)
 
 
-def test_what_is_made_of_it_lies_in_folders_too(deep, digest, tmp_path):
-    for split in ("train", "val", "test"):
-        build(plan_take(Dataset(deep), tmp_path / split, Choice(splits=(split,))))
-    parts = [Dataset(tmp_path / split) for split in ("val", "train", "test")]
-    assert build(plan_merge(parts, tmp_path / "whole")).digest == digest
-    build(plan_rescan(Dataset(deep), tmp_path / "again"))
-    for name in ("whole", "again"):
-        assert DEEP in names_in(tmp_path / name)
-        assert verify(tmp_path / name).ok
-    one, other = (load(tmp_path / name)[33] for name in ("whole", "again"))
-    assert (one.ranges == other.ranges).all()
-
-
 def test_a_store_holds_the_same_folders(store, digest):
     for _ in range(2):
         assert build(plan(Store("s3://lab/deep"))).digest == digest
@@ -83,7 +66,7 @@ def test_a_store_holds_the_same_folders(store, digest):
 )
 def test_a_shards_name_follows_from_its_number(monkeypatch, index, stem):
     monkeypatch.undo()
-    assert rules.stem_of("val", index) == stem
-    assert rules.FILE_RULE.fits(f"{stem}.worlds.zip")
+    assert schema.stem_of("val", index) == stem
+    assert schema.SHARD_FILE.fullmatch(f"{stem}.worlds.zip")
     for wrong in (f"../{stem}.h5", f"train-99xxx/{stem}.h5", f"val-01xxx/../{stem}.h5"):
-        assert not rules.FILE_RULE.fits(wrong)
+        assert not schema.SHARD_FILE.fullmatch(wrong)

@@ -13,13 +13,13 @@ import pytest
 
 import scenegen
 from scenegen import SPLITS
-from scenegen.base.errors import DatasetError, SceneError, ScenegenError
 from scenegen.dataset.build import plan_dataset
 from scenegen.draw.sample import Sample
 from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
+from tests.scenegen import refuses
 from tests.scenegen.conftest import built, same
 
 SCENES = ROOT / "scenes"
@@ -54,8 +54,7 @@ def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
     assert all(same(stream[n], stored[n]) for n in range(2))
     for number in range(2):
         (scenes / f"{number}.xml").unlink()
-    with pytest.raises(SceneError, match="fewer than 3 worlds"):
-        scenegen.stream(scenes)
+    refuses("fewer than 3 worlds", scenegen.stream, scenes)
 
 
 def test_what_a_reader_does_to_a_sample_does_not_come_back():
@@ -111,8 +110,7 @@ def test_reading_goes_on_where_a_state_says():
     assert all(same(one, other) for one, other in everything)
     good = json.loads(state)
     for wrong in (good | {"samples": 6}, good | {"stream": "0"}, {}, None):
-        with pytest.raises(DatasetError, match=r"^state of a stream: "):
-            reader.load_state_dict(wrong)
+        refuses(r"^state of a stream: ", reader.load_state_dict, wrong)
 
 
 def test_a_stream_that_nobody_closes_ends_without_a_word():
@@ -148,8 +146,7 @@ WRONG = [(json.loads(asked), json.loads(options), said) for asked, options, said
     ],
 )
 def test_what_cannot_be_ends_in_a_line(asked, options, said):
-    with pytest.raises(ScenegenError, match=said):
-        scenegen.stream(asked, **options)
+    refuses(said, scenegen.stream, asked, **options)
 
 
 def test_an_index_that_is_none_ends_in_a_line(made):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from lidarsim import MujocoEngine, Pose
-from scenegen.base.errors import DatasetError
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.schema import NAME
@@ -22,7 +21,7 @@ from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 from tests.conftest import THREE, scene_recipe, small_recipe
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -285,8 +284,7 @@ def test_what_other_software_made_otherwise_fails_nothing_and_is_no_success(fold
 
 def test_only_a_folder_without_a_dataset_raises(tmp_path):
     def refused(told):
-        with pytest.raises(DatasetError, match=told):
-            verify(tmp_path)
+        refuses(told, verify, tmp_path)
 
     refused("not a dataset")
     with open(tmp_path / NAME, "wb") as file:

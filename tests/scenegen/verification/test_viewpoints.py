@@ -123,7 +123,6 @@ def test_what_noise_loses_and_another_sensor_does_not_see_is_no_fault(tmp_path):
     noisy = dataset_in(tmp_path / "d", recipe)
     assert failed(noisy.folder) == {}
     blind = Lidar(rows=2, columns=4, max_range_m=0.21)
-    level = plan_like(noisy.folder, tmp_path / "again", lidar=blind, mapping={"tilt_mps": 0.0})
-    again = built(level)
+    again = built(plan_like(noisy.folder, tmp_path / "again", lidar=blind))
     assert not np.isfinite([sample.ranges for sample in again.split("train")]).any()
     assert failed(again.folder) == {}

@@ -11,16 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from scenegen import SPLITS
-from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.view.glb import surfaces
 from scenegen.view.look import Guess, look_into
 from scenegen.view.page import Live, packed
 from tests.command_line import refused
+from tests.scenegen import refuses
 from tests.scenegen.view.test_page import HOSTILE, Seen
 
 
@@ -112,8 +111,7 @@ def test_a_stranger_s_name_is_refused(made):
 def test_an_address_that_cannot_be_had_is_an_error(made, capsys):
     with served(made) as server:
         port = server.server_address[1]
-        with pytest.raises(ScenegenError, match="another --port"):
-            Live([Dataset(made)], split="train", port=port)
+        refuses("another --port", lambda: Live([Dataset(made)], split="train", port=port))
         for words, part in (
             (f"--port {port}", "another --port"),
             ("--host example.com", "no IP address"),

@@ -9,7 +9,6 @@ from matplotlib.image import imread
 from matplotlib.path import Path as Outline
 from PIL import Image
 
-from scenegen.base.errors import DatasetError
 from scenegen.dataset.read import Dataset
 from scenegen.view.canvas import (
     DISTANCES,
@@ -26,7 +25,7 @@ from scenegen.view.look import Guess, Route
 from scenegen.view.panels import to_bytes
 from scenegen.view.pictures import draw_sample, draw_turn
 from tests.command_line import ROOT, done, refused
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -163,5 +162,4 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(look, name, monkeypat
             assert share(shown, colour) > share(bare, colour)
     if name == "distances":
         assert share(shown, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
-    with pytest.raises(DatasetError, match="--weights"):
-        FIGURES[name]([replace(look, guesses=())], title="")
+    refuses("--weights", lambda: FIGURES[name]([replace(look, guesses=())], title=""))

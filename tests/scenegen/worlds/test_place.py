@@ -14,7 +14,7 @@ from scenegen.publish.stage import Request, stage
 from scenegen.verification import verify
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, refused, run
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import built
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -188,5 +188,4 @@ def test_a_damaged_npz_map_ends_in_a_line(tmp_path, name, value, said):
 def test_an_npz_of_something_else_is_no_map(tmp_path):
     np.savez(tmp_path / "scan.npz", points=np.zeros((4, 3)))
     for content in ((tmp_path / "scan.npz").read_bytes(), b"", b"PK\x03\x04" * 9):
-        with pytest.raises(SceneError, match=r"not an \.npz map"):
-            parse_npz(content, "scan.npz")
+        refuses(r"not an \.npz map", parse_npz, content, "scan.npz")

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from scenegen.base.errors import SceneError
 from scenegen.draw.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
 from tests.command_line import done, run
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
@@ -103,5 +102,4 @@ def test_a_damaged_plan_ends_in_a_line(tmp_path, old, new, said):
     Image.fromarray(np.full((4, 4), 205, np.uint8)).save(tmp_path / "grey.pgm")
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "full.pgm")
     Image.fromarray(np.full((300, 300), 254, np.uint8)).save(tmp_path / "wide.pgm")
-    with pytest.raises(SceneError, match=said):
-        read_world(path)
+    refuses(said, read_world, path)

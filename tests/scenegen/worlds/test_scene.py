@@ -19,7 +19,7 @@ from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
 from tests.command_line import rows
-from tests.scenegen import cases
+from tests.scenegen import cases, refuses
 
 REACH_M = 100.0
 ONE = {"train": 1, "val": 0, "test": 0}
@@ -264,8 +264,7 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path):
     assert source.notes == (
         f"{folder}: assets.xml, part.xml left out: parts, which other files include",
     )
-    with pytest.raises(SceneError, match="parts alone"):
-        read_scenes(folder / "part.xml", ONE, seed=0)
+    refuses("parts alone", read_scenes, folder / "part.xml", ONE, seed=0)
 
 
 @pytest.mark.parametrize(("element", "said"), cases("worlds/scene"))
