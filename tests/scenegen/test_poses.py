@@ -63,30 +63,28 @@ def test_every_form_gives_the_same_poses(tmp_path, form):
         assert np.allclose(rotate(pose.quaternion, np.eye(3)).T, turns[n].as_matrix())
 
 
-def test_nanoseconds_apart_and_words_in_other_columns(tmp_path):
+HEADS = {
+    "#sec,nsec,x,y,z,qx,qy,qz,qw": "",
+    "header.stamp.sec,header.stamp.nanosec,header.frame_id,pose.position.x,pose.position.y,"
+    "pose.position.z,orientation.x,orientation.y,orientation.z,orientation.w": "map,",
+}
+
+
+@pytest.mark.parametrize("header", HEADS)
+def test_nanoseconds_apart_and_words_in_other_columns(tmp_path, header):
     """As Newer College has them, and as `ros2 topic echo --csv` does."""
     rows, _ = table()
-    ns = np.round((rows[:, 0] + 0.123456789) * 1e9).astype(np.int64).tolist()
-    stamps = [divmod(time, 10**9) for time in ns]
-    for header, word in (
-        ("#sec,nsec,x,y,z,qx,qy,qz,qw", ""),
-        (
-            "header.stamp.sec,header.stamp.nanosec,header.frame_id,pose.position.x,pose.position.y,"
-            "pose.position.z,orientation.x,orientation.y,orientation.z,orientation.w",
-            "map,",
-        ),
-    ):
-        lines = [
-            f"{seconds},{rest},{word}{','.join(map(repr, row[1:].tolist()))}"
-            for (seconds, rest), row in zip(stamps, rows, strict=True)
-        ]
-        (tmp_path / "poses.csv").write_text("\n".join([header, *lines]))
-        track = read_poses(tmp_path / "poses.csv")
-        assert track.times_s == pytest.approx(rows[:, 0] + 0.123456789, abs=1e-6, rel=0)
-        assert np.allclose([pose.position for pose in track.poses], rows[:, 1:4])
-        damaged = "\n".join([header, *lines[:2], lines[2].replace(repr(rows[2, 1].item()), "none")])
-        (tmp_path / "poses.csv").write_text(damaged)
-        refuses(r"(row 3|line 4): .*finite numbers", read_poses, tmp_path / "poses.csv")
+    lines = [header]
+    for time_s, *pose in rows.tolist():
+        lines.append(f"{int(time_s)},{500_000_000 * (time_s % 1 > 0) + 7},{HEADS[header]}")
+        lines[-1] += ",".join(map(repr, pose))
+    (tmp_path / "poses.csv").write_text("\n".join(lines))
+    track = read_poses(tmp_path / "poses.csv")
+    assert track.times_s == pytest.approx(rows[:, 0] + 7e-9, abs=1e-6, rel=0)
+    assert np.allclose([pose.position for pose in track.poses], rows[:, 1:4])
+    lines[3] = lines[3].replace(repr(rows[2, 1].item()), "none")
+    (tmp_path / "poses.csv").write_text("\n".join(lines))
+    refuses(r"(row 3|line 4): .*finite numbers", read_poses, tmp_path / "poses.csv")
 
 
 def test_matrices_are_told_from_columns(tmp_path):

@@ -53,7 +53,7 @@ def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
 
     def fail(self, name, path):
         asked.append(name)
-        if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
+        if name == "val-00000.h5":
             raise StoreError(f"{self}/{name}: the store does not answer")
         fetch(self, name, path)
 

@@ -261,24 +261,19 @@ def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folde
 def test_what_other_software_made_otherwise_fails_nothing_and_is_no_success(folder, capsys):
     there = forge.read(folder)["software"] | {"mujoco": "9.9"}
     forge.sign(folder, software=there)
-    report = verify(folder)
-    assert (report.ok, report.differing) == (True, ())  # the same bits came out all the same
-    assert run(capsys, f"verify {folder} --quiet --workers 1")[0] == 0
+    assert (
+        run(capsys, f"verify {folder} --quiet --workers 1")[0] == 0
+    )  # the same bits, all the same
     forge.sign(folder, software=there, seed=1)
     report = verify(folder)
     assert (report.ok, report.differing) == (True, ("regenerated",))
     (again,) = [check for check in report.checks if check.name == "regenerated"]
     assert (again.ok, again.skipped, again.differing) == (True, False, {"flights": 3})
-    assert again.detail.startswith("3 flights come out otherwise here, made with other software")
     assert 'mujoco is "9.9" there' in again.detail
     code, said, told = run(capsys, f"verify {folder} --workers 1")
     assert (code, "19 passed, 1 differ\n" in said) == (3, True)
-    assert [line.split()[1] for line in said.splitlines() if line.startswith("regen")] == [
-        "differs"
-    ]
-    assert "verify: no check failed, and regenerated cannot tell: 3 flights come out" in told
-    # what is a fault whoever made it stays one
-    forge.edit(folder, SHARD, nudge_tudf)
+    assert "no check failed, and regenerated cannot tell" in told
+    forge.edit(folder, SHARD, nudge_tudf)  # a fault whoever made it
     assert run(capsys, f"verify {folder} --quiet --workers 1")[0] == 1
 
 

@@ -11,13 +11,8 @@ from PIL import Image
 
 from scenegen.dataset.read import Dataset
 from scenegen.view.canvas import (
-    DISTANCES,
-    INVENTED,
-    MISSED,
     SENSOR,
-    SHADES,
     View,
-    path_colours,
     visible_faces,
 )
 from scenegen.view.figures import FIGURES
@@ -134,32 +129,17 @@ def predicted(look):
 
 
 @pytest.mark.parametrize("name", list(FIGURES))
-def test_the_paper_s_figures_show_methods_errors_and_paths(look, name, monkeypatch):
+def test_the_paper_s_figures_show_what_methods_predict(look, name, monkeypatch):
+    """Right completions, no distances and no paths make another page."""
     monkeypatch.setattr("scenegen.view.panels.DPI", 60)
-    monkeypatch.setattr("scenegen.view.canvas.PALE", 1.0)  # errors in full, however near
     look = predicted(look)
+    other = replace(look.guesses[0], occupied=look.masks["occupancy"], tudf=look.tudf)
+    other = replace(other, route=replace(other.route, points=None))
 
-    def page(shown):
-        return drawn(FIGURES[name]([shown], title=""))[:-40, :-60]
+    def page(*guesses):
+        return drawn(FIGURES[name]([replace(look, guesses=guesses)], title=""))
 
-    def share(image, colour, near=6):
-        shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
-        far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
-        return float((far < near).mean())
-
-    shown = page(look)
-    if name == "completions":
-        truth = look.masks["occupancy"]
-        right = page(
-            replace(look, guesses=tuple(replace(one, occupied=truth) for one in look.guesses))
-        )
-        assert share(shown, MISSED) > share(right, MISSED) + 0.002
-        assert share(shown, INVENTED, 40) > share(right, INVENTED, 40)
-    if name in ("paths", "example"):
-        ends = [replace(one, route=replace(one.route, points=None)) for one in look.guesses]
-        bare = page(replace(look, guesses=tuple(ends)))
-        for colour in path_colours(["occ", "$own^$"]):
-            assert share(shown, colour) > share(bare, colour)
-    if name == "distances":
-        assert share(shown, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
-    refuses("--weights", lambda: FIGURES[name]([replace(look, guesses=())], title=""))
+    one, two = page(*look.guesses), page(other, look.guesses[1])
+    assert one.shape == two.shape
+    assert 0.0005 < (np.abs(one - two).max(axis=2) > 0.1).mean() < 0.5
+    refuses("--weights", page)
