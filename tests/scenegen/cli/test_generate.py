@@ -2,10 +2,14 @@
 
 import json
 import time
+from pathlib import Path
 
+import msgspec
 import mujoco
 import pytest
 
+from scenegen.cli.options import find_datasets
+from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import SMALL, done, example, refused, rows, run
 from tests.scenegen import cases
@@ -99,3 +103,14 @@ def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
     done(capsys, f"{command} --quiet")
     assert len(Dataset(tmp_path / "d").split("train")) == 2
     assert "nothing was left to make" in done(capsys, command)
+
+
+def test_folders_under_data_without_samples_are_left_out(made, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    full, begun = Path("data/full"), Path("data/begun")
+    begun.mkdir(parents=True)
+    full.symlink_to(made)
+    empty = {"shards": (), "complete": False, "digest": None}
+    manifest.write(begun, msgspec.structs.replace(manifest.load(made), **empty))
+    assert [dataset.name for dataset in find_datasets((), shown=True)] == [str(full)]
+    assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

@@ -1,5 +1,7 @@
 """Frames of recordings: one tree, or a refusal that names both parents."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,15 @@ def test_a_single_row_may_leave_out_its_length(tmp_path):
     scans = list(read_log(moving(bag).write(tmp_path / "bag")).scans())
     assert len(scans) == 6
     assert scans[3].points[0] == pytest.approx(truth[3][0], abs=1e-6)
+    *where, cloud = bag.messages[0]
+    bag.messages[0] = (*where, dataclasses.replace(cloud, point_step=0))
+    odd = bag.write(tmp_path / "odd")
+    refuses("expected points of 12 or more", lambda: list(read_log(odd).scans()))
+
+
+def test_scans_after_the_last_pose_have_none(tmp_path):
+    log = read_log(moving(drive()[0], scans=3).write(tmp_path / "bag"))
+    assert (len(log.poses), log.without_pose) == (4, 2)
 
 
 def tum(n):

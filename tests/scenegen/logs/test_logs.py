@@ -153,6 +153,7 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     clouds.mkdir()
     scans = written(log)
     assert close(read_log(log), scans)
+    refuses("leave out --topic", read_log, log, topic="/points")
     for scan in scans:
         write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points, None, {})
     rows = ["z,y,x,qw,qx,qy,qz,t,note"]

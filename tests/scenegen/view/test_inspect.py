@@ -107,7 +107,7 @@ def test_many_samples_are_measured_by_several_processes(full):
         assert all(split["statistics"][key]["std"] > 0 for key in KEYS - set(Difficulty._fields))
 
 
-def test_figures_and_samples_are_told_by_kind(tmp_path):
+def test_figures_and_samples_are_told_by_kind(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(MIXED)
     options = {"n": 20, "val": 0, "test": 0, "workers": 1}
     mixed = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", **options)
@@ -121,6 +121,10 @@ def test_figures_and_samples_are_told_by_kind(tmp_path):
             found = told["statistics"]
             assert found["unknown"]["mean"] == pytest.approx(1 - np.mean(known))
             assert found["tudf_m"]["mean"] == pytest.approx(np.mean([look.tudf for look in own]))
+    said = done(capsys, f"inspect {tmp_path}/d")
+    assert {line.split(" ")[0] for line in said.splitlines()} >= KEYS
+    full = done(capsys, f"inspect {tmp_path}/d --details")
+    assert "\ntrain: means of each kind, shares in %\n" in full
 
 
 def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):

@@ -20,6 +20,7 @@ from scenegen.view.look import Guess, look_into
 from scenegen.view.page import Live, packed
 from tests.command_line import refused
 from tests.scenegen import refuses
+from tests.scenegen.verification.forge import edit_manifest
 from tests.scenegen.view.test_page import HOSTILE, Seen
 
 
@@ -118,3 +119,15 @@ def test_an_address_that_cannot_be_had_is_an_error(made, capsys):
             ("--index 99 --port 0", "--index 99"),
         ):
             assert part in refused(capsys, f"view {made} {words}")
+
+
+def test_what_is_damaged_is_told_and_the_rest_is_served(dataset):
+    (dataset / "train-00001.h5").unlink()  # samples 3 to 5
+    edit_manifest(dataset, complete=False, digest=None)
+    with served(dataset) as server:
+        status, _, text = ask(server, "/sample/0/train/4")
+        assert status == 404
+        assert "train-00001.h5" in json.loads(text)["error"]
+        status, _, text = ask(server, "/sample/0/train/6")
+        assert status == 200
+        assert "incomplete" in json.loads(text)["notes"][0]
