@@ -22,6 +22,7 @@ from scenegen.base.files import (
     whole,
     write_whole,
 )
+from tests.scenegen import refuses
 from tests.scenegen.conftest import names
 
 
@@ -40,8 +41,7 @@ def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path):
     assert names(tmp_path) == {"a", "b"}
     make_parent(tmp_path / "c" / "d" / "e")
     write_whole(tmp_path / "c" / "d" / "e", b"")
-    with pytest.raises(DatasetError, match="choose another place"):
-        make_parent(tmp_path / "a" / "x" / "y")
+    refuses("choose another place", make_parent, tmp_path / "a" / "x" / "y")
 
 
 def test_only_regular_files_are_replaced(tmp_path):
@@ -56,12 +56,12 @@ def test_only_regular_files_are_replaced(tmp_path):
 
     before = modes()
     for name in ("pipe", "folder", "link", "nowhere"):
-        with pytest.raises(DatasetError, match=r"is not a regular file|is a symbolic link"):
-            write_whole(tmp_path / name, b"content")
+        refuses(
+            r"is not a regular file|is a symbolic link", write_whole, tmp_path / name, b"content"
+        )
         with pytest.raises(DatasetError), whole(tmp_path / name):
             raise AssertionError("work for nothing")
-    with pytest.raises(DatasetError, match="is not a regular file"):
-        check_target(Path("/dev/null"))
+    refuses("is not a regular file", lambda: check_target(Path("/dev/null")))
     assert modes() == before
     assert (tmp_path / "target").read_bytes() == b"mine"
 

@@ -13,6 +13,8 @@ from tests.command_line import refused
 
 FILES = {
     "a/dataset.json": "",
+    "mixed/collection.json": "",
+    "few.json": '{"format": "scenegen-selection"',
     "predicted/predictions.json": "",
     "run/metrics.csv": "",
     "drive/poses.txt": "",
@@ -30,6 +32,8 @@ FILES = {
 EXPECTED = {
     ".": "datasets",
     "a": "dataset",
+    "mixed": "collection",
+    "few.json": "selection",
     "predicted": "predictions",
     "done.h5": "predictions",
     "run": "run",
@@ -99,7 +103,7 @@ def test_an_unknown_path_is_refused_in_one_line(here, name):
 def test_another_type_than_expected_is_named(here, capsys):
     check_type(here / "a", "dataset")
     check_type(here / "poses", "dataset")
-    assert "known are dataset" in refused(capsys, f"inspect {here}/notes.txt")
+    assert "known are " in refused(capsys, f"inspect {here}/notes.txt")
     for words in ("verify", "bench", "convert --to ply", "train"):
         line = refused(capsys, f"{words} {here}/run")
         assert "is of type run" in line

@@ -22,7 +22,7 @@ from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import make_recipe, preset, read_recipe
-from tests.command_line import rows
+from tests.scenegen import cases, refuses
 
 NASTY = """nasty = [
 0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
@@ -129,8 +129,13 @@ def test_all_sorts_of_solids_are_counted_together():
         make_recipe("geometric", {"world": world}, where="test")
     for one, other in itertools.combinations(alone, 2):
         tables = {"world": one | other | {"clutter_count": [0, 18]}}
-        with pytest.raises(RecipeError, match=r"solids in a world of .* expected 20000 at most"):
-            make_recipe("geometric", tables, where="test")
+        refuses(
+            r"solids in a world of .* expected 20000 at most",
+            make_recipe,
+            "geometric",
+            tables,
+            where="test",
+        )
 
 
 def test_a_parameter_without_default_is_asked_for(monkeypatch):
@@ -139,16 +144,14 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch):
         posts: int
 
     monkeypatch.setattr("scenegen.worlds.recipe.find_kind", lambda name: Bare)
-    with pytest.raises(RecipeError, match=r"^test: \[world\] posts: is missing"):
-        make_recipe("pillar", {}, where="test")
+    refuses(r"^test: \[world\] posts: is missing", make_recipe, "pillar", {}, where="test")
     assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3
 
 
 def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
     lines = f"[{'a.' * 200}a]\n" + "".join(f"k{n:05d}=1\n" for n in range(6_000))
     (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
-    with pytest.raises(RecipeError, match="unknown table 'a'"):
-        read_recipe(tmp_path / "r.toml")
+    refuses("unknown table 'a'", read_recipe, tmp_path / "r.toml")
 
 
 def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
@@ -162,24 +165,16 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
         ("pillar", "harder", "expected one of easy, hard, medium"),
         ("scene", "hard", "worlds from MJCF files have none"),
     ):
-        with pytest.raises(RecipeError, match=told):
-            make_recipe(kind, {"difficulty": level}, where="test")
-    with pytest.raises(RecipeError, match="has difficulty, and --difficulty is given beside it"):
-        read_recipe(path, difficulty="easy")
+        refuses(told, make_recipe, kind, {"difficulty": level}, where="test")
+    refuses(
+        "has difficulty, and --difficulty is given beside it", read_recipe, path, difficulty="easy"
+    )
 
 
-CLUTTER = """
-hard → [0.02, 0.08]  → 1 of the values of the easy preset and 0 of that one (density)
-easy → [0.05, 0.5]   → 1 of the values of the medium preset and 0 of that one (density)
-hard → [0.02, 0.081] →
-"""
-
-
-@pytest.mark.parametrize(("level", "density", "told"), rows(CLUTTER))
+@pytest.mark.parametrize(("level", "density", "told"), cases("recipe"))
 def test_a_difficulty_whose_values_are_anothers_is_refused(level, density, told):
     tables = {"difficulty": level, "world": {"density": json.loads(density)}}
     if told:
-        with pytest.raises(RecipeError, match=re.escape(told)):
-            make_recipe("clutter", tables, where="test")
+        refuses(re.escape(told), make_recipe, "clutter", tables, where="test")
     else:
         assert make_recipe("clutter", tables, where="test").difficulty == level

@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from scenegen.base.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.base.errors import GenerationError
 from scenegen.base.executors import executor, identity
 from scenegen.base.ray import sent, taken
 from scenegen.base.workers import rank_of
 from scenegen.dataset.build import build
-from tests.command_line import rows
 from tests.conftest import COUNTS, contents, plan_of
+from tests.scenegen import cases, refuses
 from tests.scenegen.base.backwards import Backwards
 
 
@@ -42,43 +42,18 @@ def test_ranks_make_a_dataset_together_in_any_order(tmp_path, monkeypatch):
     assert make(tmp_path / "parts", "rank") == whole
 
 
-RANKS = """
-RANK=1 WORLD_SIZE=4                                                    → (1, 4)
-SLURM_PROCID=3 SLURM_NTASKS=4                                          → (3, 4)
-SLURM_PROCID=1 SLURM_NTASKS=2 RANK=5 WORLD_SIZE=8                      → (5, 8)
-SLURM_ARRAY_TASK_ID=7 SLURM_ARRAY_TASK_COUNT=4 SLURM_ARRAY_TASK_MIN=5  → (2, 4)
-JOB_COMPLETION_INDEX=0 SCENEGEN_WORLD_SIZE=2 RANK=1 WORLD_SIZE=4       → (0, 2)
-NOTHING=0                                                    → SCENEGEN_RANK and SCENEGEN_WORLD_SIZE
-RANK=4 WORLD_SIZE=4                                                    → RANK='4', WORLD_SIZE='4'
-RANK=-1 WORLD_SIZE=4                                                   → RANK='-1'
-SCENEGEN_RANK=one SCENEGEN_WORLD_SIZE=2                                → SCENEGEN_RANK='one'
-SLURM_ARRAY_TASK_ID=1 SLURM_ARRAY_TASK_COUNT=2 SLURM_ARRAY_TASK_MIN=5  → SLURM_ARRAY
-"""
-"""The third is as torchrun has it, on the second of two nodes."""
-
-
-@pytest.mark.parametrize(("environment", "expected"), rows(RANKS))
+@pytest.mark.parametrize(("environment", "expected"), cases("base/executors_ranks"))
 def test_the_environment_tells_the_rank_or_one_line_says_why_not(environment, expected):
     given = dict(pair.split("=") for pair in environment.split())
     if expected.startswith("("):
         assert str(rank_of(given)) == expected
         return
-    with pytest.raises(DatasetError, match=f"^--on rank: .*{expected}"):
-        rank_of(given)
+    refuses(f"^--on rank: .*{expected}", rank_of, given)
 
 
-REFUSED = """
-local://somewhere     → --on local://somewhere:
-rank://somewhere      → --on rank://somewhere:
-clouds                → --on: unknown executor 'clouds'
-nowhere:Thing://there → --on: executor nowhere:Thing: there is no module nowhere
-"""
-
-
-@pytest.mark.parametrize(("place", "told"), rows(REFUSED))
+@pytest.mark.parametrize(("place", "told"), cases("base/executors"))
 def test_what_is_no_executor_is_refused(place, told):
-    with pytest.raises(ScenegenError, match=told):
-        executor(place, 1)
+    refuses(told, executor, place, 1)
 
 
 def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):
@@ -118,5 +93,4 @@ def test_a_machine_without_scenegen_says_so():
     given = marshal.dumps((there.__code__, cells))
     said, node = subprocess.check_output(words, input=given).decode().splitlines()
     assert node == socket.gethostname()
-    with pytest.raises(GenerationError, match=rf"No module named 'scenegen'; .* \(on {node}\)"):
-        taken(said, node)
+    refuses(rf"No module named 'scenegen'; .* \(on {node}\)", taken, said, node)

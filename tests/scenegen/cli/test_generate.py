@@ -12,6 +12,7 @@ from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import SMALL, done, example, refused, rows, run
+from tests.scenegen import cases
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
@@ -73,17 +74,7 @@ def test_bad_use_ends_in_one_line(words, told, tmp_path, capsys):
     assert not (tmp_path / "d").exists()
 
 
-BAD_SCENES = """
-<mujoco><worldbody>  → not valid MJCF
-<mujoco/>            → no geom that rays can see
-<mujoco><worldbody><geom type="box" size="1 1 1"/></worldbody></mujoco> → no flight fits between
-<mujoco><asset><mesh file="gone.obj"/></asset></mujoco>  → gone.obj
-<mujoco><worldbody><geom size="1"/><geom name="ghost" size="1" pos="9 0 0" rgba="1 1 1 0"/>\
-</worldbody></mujoco> → cannot see geom ghost
-"""
-
-
-@pytest.mark.parametrize(("document", "told"), rows(BAD_SCENES))
+@pytest.mark.parametrize(("document", "told"), cases("cli/generate_bad_scenes"))
 def test_a_bad_scene_ends_in_one_line(document, told, tmp_path, capfd):
     (tmp_path / "s.xml").write_text(document)
     command = f"generate --scene {tmp_path / 's.xml'} --n 5 --out {tmp_path / 'd'} --quiet"

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from tests.command_line import refused, rows, run
+from tests.command_line import refused, run
+from tests.scenegen import cases
 
 
 @pytest.mark.usefixtures("verified", "undrawn")
@@ -22,18 +23,9 @@ def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
         assert (standing / "publish/pillars" / name).stat().st_size == size
 
 
-BAD_USE = """
-publish MADE                        → --repo
-publish MADE --repo ada/pillars     → no token for the Hub
-publish MADE --repo ada/pillars --dry-run --licence mine → CC-BY-4.0
-inspect ada/pillars                 → ada/pillars: not a dataset
-inspect hf://ada/pillars            → hf://ada/pillars: RepositoryNotFoundError
-"""
-
-
 def test_bad_use_ends_in_one_line(standing, made, hub, verified, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
-    for words, told in rows(BAD_USE):
+    for words, told in cases("cli/publish"):
         assert told in refused(capsys, words.replace("MADE", str(made)))
     assert not (standing / "publish").exists()
     assert not [line for line in hub.log if line.startswith(("POST", "PUT"))]

@@ -9,10 +9,10 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.base.errors import DatasetError
 from scenegen.worlds.clouds import read_cloud, scans_in
 from scenegen.worlds.clouds.write import write_points
 from tests.command_line import rows
+from tests.scenegen import refuses
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 XYZ = "property float x;property float y;property float z;end_header"
@@ -91,8 +91,7 @@ PROMISED = [
 def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, suffix, content, said):
     path = tmp_path / f"it{suffix}"
     path.write_bytes(content.encode("latin-1"))
-    with pytest.raises(DatasetError, match=re.escape(said)):
-        read_cloud(path)
+    refuses(re.escape(said), read_cloud, path)
 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
@@ -152,16 +151,14 @@ NOTHING = [
 def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix, content):
     path = tmp_path / f"it{suffix}"
     path.write_bytes(content)
-    with pytest.raises(DatasetError, match=path.name):
-        read_cloud(path)
+    refuses(path.name, read_cloud, path)
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("scenegen.worlds.clouds.formats.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
-    with pytest.raises(DatasetError, match="10000 at most"):
-        read_cloud(tmp_path / "bomb.npz")
+    refuses("10000 at most", read_cloud, tmp_path / "bomb.npz")
 
 
 def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):

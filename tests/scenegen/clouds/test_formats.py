@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.base.errors import DatasetError
 from scenegen.worlds.clouds import read_cloud
 from tests.command_line import rows
+from tests.scenegen import cases, refuses
 
 POINTS = np.random.default_rng(0).uniform(-9, 9, (6, 3)).astype("<f4")
 TEXT = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in POINTS.tolist())
@@ -39,25 +39,11 @@ def test_pcd_is_read_as_drivers_write_it(tmp_path, coding, old, new):
     assert_array_equal(read_cloud(tmp_path / "scan.pcd").points, POINTS)
 
 
-FAULTS = """
-FIELDS x y z\\n             →                      → no line FIELDS
-FIELDS x y z                → FIELDS x y w         → fields x y w, expected x, y and z
-TYPE F F F                  → TYPE F F Q           → TYPE Q, expected I, U or F
-SIZE 4 4 4                  → SIZE 4 4             → 3 FIELDS, 2 SIZE, 3 TYPE and 3 COUNT
-SIZE 4 4 4                  → SIZE 4 4 four        → SIZE 4 4 four: expected numbers
-POINTS 6                    → POINTS many          → POINTS many: expected numbers
-WIDTH 3\\nHEIGHT 2\\nPOINTS 6\\n →                 → no line POINTS, and no WIDTH
-COUNT 1 1 1                 → VIEWPOINT 1 2 3      → VIEWPOINT has 3 numbers, expected 7
-DATA                        → DATUM                → no line DATA
-"""
-
-
-@pytest.mark.parametrize(("old", "new", "said"), rows(FAULTS))
+@pytest.mark.parametrize(("old", "new", "said"), cases("clouds/formats"))
 def test_faults_of_a_pcd_s_header_are_named(tmp_path, old, new, said):
     head = f"{HEAD}DATA ascii\n".replace(old.replace("\\n", "\n"), new)
     (tmp_path / "scan.pcd").write_text(head + TEXT)
-    with pytest.raises(DatasetError, match=said):
-        read_cloud(tmp_path / "scan.pcd")
+    refuses(said, read_cloud, tmp_path / "scan.pcd")
 
 
 @pytest.mark.parametrize("comment", ["end_header", "before end_header it ends", "a\nobj_info x"])
@@ -86,8 +72,7 @@ UTM = np.array([652e3, 5.4e6, 0.0])
 def test_las_in_degrees_is_refused(tmp_path):
     for scales in ([1e-7, 1e-7, 1e-3], [1e-7, 1e-7, 1e-6], [1e-6, 1e-6, 1e-2]):
         path = las(tmp_path / "a.las", DEGREES, scales)
-        with pytest.raises(DatasetError, match="geographic coordinates, degrees; expected metres"):
-            read_cloud(path)
+        refuses("geographic coordinates, degrees; expected metres", read_cloud, path)
 
 
 def test_las_in_metres_is_read(tmp_path):

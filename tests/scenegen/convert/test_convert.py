@@ -1,14 +1,9 @@
 """What is written in another format, an independent reader finds again."""
 
 import dataclasses
-import hashlib
 import json
-import os
-import re
-import runpy
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -17,20 +12,17 @@ import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
-from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
-from scenegen.base.errors import DatasetError
 from scenegen.convert import Choices
 from scenegen.convert.convert import convert
-from scenegen.convert.formats import Occ3d, SemanticKitti
+from scenegen.convert.formats import SemanticKitti
 from scenegen.convert.recordings import rerun as import_rerun
 from scenegen.dataset.read import Dataset
 from scenegen.draw.source import read_world
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.place import parse_octomap
-from scenegen.worlds.recipe import preset
-from tests.command_line import ROOT, done, refused, run
-from tests.conftest import contents, dataset_in
+from tests.command_line import done, refused, run
+from tests.conftest import contents
+from tests.scenegen import refuses
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 MASKS = ("observed", "free", "occupancy")
@@ -180,17 +172,6 @@ def test_npz_names_the_classes(labelled, tmp_path):
             assert_array_equal(found["classes"][found["voxel_class"]], classes[expected])
 
 
-def test_the_docs_say_which_numbers_classes_become():
-    """Every class has its row, and `--label` where SemanticKITTI lacks it."""
-    text = (ROOT / "docs/convert.md").read_text().partition("## Classes")[2].partition("\n## ")[0]
-    rows_of = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:3] == "| `"]
-    numbers = {name: cells for names, *cells in rows_of for name in re.findall("`(.*?)`", names)}
-    for name in CLASSES:
-        kitti, occ3d = numbers[name]
-        assert kitti.split()[0] == str(SemanticKitti.numbers.get(name, "`--label`"))
-        assert occ3d.split()[0] == str(Occ3d.numbers[name])
-
-
 def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
     """Of worlds whose geoms the user has named: theirs are taken, the others are named."""
     (tmp_path / "a.xml").write_text(
@@ -205,36 +186,6 @@ def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
     assert "bicycle" not in line
     labels = np.fromfile(next(tmp_path.glob("k/**/*.label")), np.uint16)
     assert set(np.unique(labels)) == {0, 11, 50}
-
-
-KIT = Path(os.environ.get("SCENEGEN_SEMANTIC_KITTI_API", "nowhere"), "auxiliary/SSCDataset.py")
-KIT_SHA256 = "c4862db715878773ccfb53af74b0edac3891386aa5d4b79d2a35e795a0d99e13"
-
-
-@pytest.mark.skipif(
-    not KIT.exists(),
-    reason="SCENEGEN_SEMANTIC_KITTI_API names no clone of github.com/PRBonn/semantic-kitti-api, "
-    "checked out at a9c749e8",
-)
-def test_semantickitti_s_own_loader_reads_it(tmp_path):
-    assert hashlib.sha256(KIT.read_bytes()).hexdigest() == KIT_SHA256, "expected commit a9c749e8"
-    grid, counts = GridSpec(shape=(256, 256, 32)), {"train": 12, "val": 1, "test": 11}
-    recipe = dataclasses.replace(preset("pillar"), grid=grid)
-    dataset_in(tmp_path / "d", recipe, counts=counts)
-    out, splits = tmp_path / "kitti", ("train", "val", "test")
-    convert(Dataset(tmp_path / "d"), out, to="semantickitti", choices=Choices(), splits=splits)
-    loader = runpy.run_path(str(KIT))["SSCDataset"]
-    for split, theirs in (("train", "train"), ("val", "valid"), ("test", "test")):
-        found = loader(str(out), theirs)
-        assert len(found) == counts[split]
-        for n in range(len(found)):
-            (_, stem), read = found[n]
-            sample = Dataset(tmp_path / "d").split(split)[int(stem)]
-            assert_array_equal(read["input"], sample.observed)
-            if split != "test":
-                assert_array_equal(read["label"], 50 * sample.occupancy)
-                assert_array_equal(read["occluded"], ~(sample.observed | sample.free))
-                assert not read["invalid"].any()
 
 
 PCD = """VERSION 0.7
@@ -303,8 +254,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     assert (done.written, done.there) == (0, 2)
     assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
-        with pytest.raises(DatasetError, match="another command"):
-            converted(made, out, other, **choices)
+        refuses("another command", converted, made, out, other, **choices)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ModuleNotFoundError):
         converted(made, tmp_path / "lost", "rerun")

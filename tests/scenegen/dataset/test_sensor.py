@@ -13,15 +13,14 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
-from scenegen.base.errors import BrokenError, DatasetError
+from scenegen.base.errors import BrokenError
 from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from scenegen.worlds.tables import read_toml
-from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import built, drawn_unit
-from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +55,7 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
     assert np.load(tmp_path / RAYS, allow_pickle=False).shape == (9, 24, 4)
     assert verify(tmp_path).ok
     (tmp_path / RAYS).unlink()
-    with pytest.raises(DatasetError, match=r"/rays\.npy: is missing.*; copy the dataset again"):
-        Dataset(tmp_path)
+    refuses(r"/rays\.npy: is missing.*; copy the dataset again", Dataset, tmp_path)
     assert build_with(tmp_path, table).lidar == table
     raster = Lidar(rows=8, columns=24)
     assert build_with(tmp_path, raster, force=True).lidar == raster
@@ -94,24 +92,10 @@ HEADER = (
 def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
     (tmp_path / RAYS).write_bytes(content)
     entry = sensor_entry(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
-    with pytest.raises(BrokenError, match=re.escape(told)):
-        sensor_of(entry, tmp_path)
+    refuses(re.escape(told), sensor_of, entry, tmp_path)
 
 
-WRONG = """
-sha256      → "0000"
-sha256      → 0
-sensor      → "antigravity:Flight"
-rays        → "../../etc/passwd"
-shape       → [1000000, 1000000]
-shape       → []
-max_range_m → NaN
-made_by     → "two\\nlines"
-rows        → 16
-"""
-
-
-@pytest.mark.parametrize(("name", "value"), rows(WRONG))
+@pytest.mark.parametrize(("name", "value"), cases("dataset/sensor"))
 def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     table = BeamTable(rays=UNIT)
     write_rays(table, tmp_path)
@@ -120,20 +104,6 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     with pytest.raises(BrokenError) as error:
         sensor_of(entry | {name: json.loads(value)}, tmp_path)
     assert "\n" not in str(error.value)
-
-
-def test_a_table_that_is_not_the_manifests_is_refused(tmp_path):
-    write_rays(BeamTable(rays=-UNIT), tmp_path)
-    with pytest.raises(BrokenError, match=r"rays\.npy: is not the file whose sha256"):
-        sensor_of(sensor_entry(BeamTable(rays=UNIT)), tmp_path)
-
-
-def test_no_reader_imports_what_a_manifest_names(made, trap):
-    folder = forge.edit_at(forge.copy(made, trap / "data"), "recipe.lidar.sensor", '"trap:Sensor"')
-    with pytest.raises(DatasetError, match=r"recipe\.lidar"):
-        Dataset(folder)
-    with pytest.raises(DatasetError):
-        Dataset(folder).manifest.recipe  # noqa: B018
 
 
 ODD = "y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"
@@ -152,6 +122,11 @@ def test_no_text_of_a_manifest_adds_a_line_to_its_recipe_file(table, trap):
 
 
 def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):
-    with pytest.raises(DatasetError, match="unknown engine 'mujocco'; did you mean 'mujoco'"):
-        build_with(tmp_path / "data", Lidar(), "mujocco")
+    refuses(
+        "unknown engine 'mujocco'; did you mean 'mujoco'",
+        build_with,
+        tmp_path / "data",
+        Lidar(),
+        "mujocco",
+    )
     assert not (tmp_path / "data").exists()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import stats
 
 from scenegen.worlds.kinds.geometric import Geometric
 from tests.scenegen.kinds import Geom, draw, looks_like_share, looks_uniform
@@ -11,8 +10,6 @@ from tests.scenegen.kinds import Geom, draw, looks_like_share, looks_uniform
 AREA = {"size_m": (60.0, 40.0, 9.0), "ground": False}
 NOTHING = {"density": (1e-9, 1e-9), "wall_density": (0.0, 0.0), "clutter_density": (0.0, 0.0)}
 """Not one of anything in 2400 square metres."""
-SHAPES = {Geom.mjGEOM_SPHERE: 1, Geom.mjGEOM_CYLINDER: 2, Geom.mjGEOM_BOX: 3}
-"""How many sizes a shape has."""
 
 
 def only(density):
@@ -28,11 +25,6 @@ def only(density):
 solids, walls, heaps = only("density"), only("wall_density"), only("clutter_density")
 
 
-def used_sizes(found):
-    """The sizes that matter, of all solids."""
-    return np.concatenate([solid.size[: SHAPES[solid.shape]] for solid in found])
-
-
 def roles(found):
     """Whether each solid stands, is stacked right on the middle of an earlier one, or floats."""
     low, high = np.array([solid.span for solid in found]).T
@@ -42,43 +34,6 @@ def roles(found):
         under = (plan[:n] == plan[n]).all(axis=1) & (np.abs(high[:n] - low[n]) < 1e-5)
         said.append("standing" if abs(low[n]) < 1e-5 else "stacked" if under.any() else "floating")
     return said
-
-
-def test_the_logarithm_of_the_density_is_uniform():
-    counts = [len(solids(seed, density=(0.01, 0.15))) for seed in range(120)]
-    assert looks_uniform(
-        np.log(np.array(counts) / 2400.0), np.log(0.01) - 0.02, np.log(0.15) + 0.02
-    )
-
-
-@pytest.mark.parametrize(
-    ("some", "more"),
-    [
-        (solids, {"stacked_share": 0.0}),
-        (walls, {}),
-        (heaps, {"clutter_count": (1, 1), "clutter_spread_m": 1e-6}),
-    ],
-)
-def test_all_spread_over_the_plan(some, more):
-    x, y, _ = np.transpose([solid.position for solid in some(count=300, **more)])
-    assert looks_uniform(x, -1e-4, 60.0 + 1e-4)
-    assert looks_uniform(y, -1e-4, 40.0 + 1e-4)
-
-
-def test_sizes_are_drawn_axis_by_axis_between_their_bounds():
-    found = solids(half_size_m=(0.2, 1.7), scale=(1.0, 1.0))
-    assert looks_uniform(used_sizes(found), 0.2, 1.7)
-    boxes = np.array([solid.size for solid in found if solid.shape == Geom.mjGEOM_BOX])
-    assert np.abs(np.corrcoef(boxes.T) - np.eye(3)).max() < 0.25
-
-
-def test_the_scale_is_a_factor_on_half_sizes_drawn_once_a_world():
-    factors = []
-    for seed in range(100):
-        sizes = used_sizes(solids(seed, count=12, half_size_m=(0.5, 0.5), scale=(0.6, 1.8)))
-        assert np.ptp(sizes) < 1e-12
-        factors.append(sizes[0] / 0.5)
-    assert looks_uniform(factors, 0.6, 1.8)
 
 
 @pytest.mark.parametrize(
@@ -97,40 +52,6 @@ def test_solids_stand_are_stacked_or_float_in_their_shares(standing, stacked, ti
         assert looks_like_share(said.count(name), len(said), share), (name, said.count(name))
 
 
-def test_solids_are_stacked_on_any_earlier_one():
-    found = solids(standing_share=0.0, stacked_share=1.0, count=400)
-    tops = np.array([solid.span[1] for solid in found])
-    under = [int(np.abs(tops[:n] - found[n].span[0]).argmin()) for n in range(400)[1:]]
-    assert looks_uniform(np.array(under[20:]) / np.arange(21, 400), 0.0, 1.0)
-
-
-def test_floating_solids_have_their_centres_at_any_height():
-    found = solids(standing_share=0.0, stacked_share=0.0)
-    assert looks_uniform([solid.position[2] for solid in found], 0.0, 9.0)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_tilted_solids_come_in_their_share_and_at_any_attitude(share):
-    found = solids(tilted_share=share)
-    tilted = [solid for solid in found if not solid.upright]
-    assert looks_like_share(len(tilted), len(found), share)
-    if tilted:
-        # of a direction drawn evenly over the sphere, every component is uniform (Archimedes)
-        for component in np.reshape([solid.rotation for solid in tilted], (-1, 9)).T:
-            assert looks_uniform(component, -1.0, 1.0)
-    if len(tilted) < len(found):
-        assert looks_uniform([solid.yaw for solid in found if solid.upright], 0.0, 2 * np.pi)
-
-
-@pytest.mark.parametrize(
-    ("name", "some", "more"),
-    [("wall_density", walls, {}), ("clutter_density", heaps, {"clutter_count": (1, 1)})],
-)
-def test_densities_are_drawn_once_a_world_between_their_bounds(name, some, more):
-    counts = [len(some(seed, **{name: (0.01, 0.06)}, **more)) for seed in range(50)]
-    assert looks_uniform(np.array(counts) / 2400.0, 0.01 - 3e-4, 0.06 + 3e-4)
-
-
 def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
     ranges = {"wall_length_m": (3.0, 6.5), "wall_height_m": (1.0, 4.0)}
     found = walls(count=300, **ranges, wall_half_thickness_m=(0.05, 0.25))
@@ -142,28 +63,3 @@ def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
     low, high = np.array([solid.span for solid in found]).T
     assert_allclose(low, 0.0, rtol=0, atol=1e-9)
     assert looks_uniform(high, *ranges["wall_height_m"])
-
-
-def test_a_heap_has_a_count_of_solids_with_both_bounds_included():
-    counts = np.bincount(
-        [len(heaps(seed, count=1, clutter_count=(4, 8))) for seed in range(250)], minlength=10
-    )
-    assert counts[4:9].sum() == 250
-    assert stats.chisquare(counts[4:9]).pvalue > 1e-3
-
-
-def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place():
-    found = heaps(
-        count=1, clutter_count=(900, 900), clutter_spread_m=0.8, clutter_half_size_m=(0.05, 0.45)
-    )
-    assert looks_uniform(used_sizes(found), 0.05, 0.45)
-    for shape in SHAPES:
-        assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
-    assert looks_uniform([solid.rotation[2, 2] for solid in found], -1.0, 1.0)
-    plan = np.array([solid.position[:2] for solid in found])
-    for axis in range(2):
-        away = plan[:, axis] - plan[:, axis].mean()
-        assert stats.kstest(away, stats.norm(scale=0.8).cdf).pvalue > 1e-3
-    lift = np.array([solid.span[0] for solid in found])
-    assert lift.min() > -1e-5
-    assert stats.kstest(lift, stats.halfnorm(scale=0.8).cdf).pvalue > 1e-3

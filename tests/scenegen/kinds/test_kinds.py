@@ -10,16 +10,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
-from scenegen.base.errors import RecipeError
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.kinds import find_kind, kind_names
 from scenegen.worlds.kinds.geometric import Geometric
 from scenegen.worlds.kinds.pillar import Pillar
-from scenegen.worlds.labels import class_names, labels_by
+from scenegen.worlds.labels import class_names, classes_of, labels_by
 from scenegen.worlds.recipe import make_recipe, preset
 from scenegen.worlds.world import compile_world, write_world
 from tests.command_line import rows
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.kinds import Geom, draw
 
@@ -88,20 +88,7 @@ def kind_of(name, given):
     return find_kind(name)(**{k: tuple(v) if isinstance(v, list) else v for k, v in values})
 
 
-TOO_MUCH = """
-cave       → {"size_m": [9e3, 9e3, 9], "dripstone_density": [0, 0], "rock_density": [0, 0]}
-forest     → {"size_m": [9e3, 9e3, 9], "density": [0, 0], "bush_density": [0, 0], \
-"fallen_density": [0, 0]}
-clutter    → {"size_m": [600, 600, 90], "patch_m": [0.5, 0.5], "density": [0.01, 0.01]}
-industrial → {"column_m": [0.1, 0.1]}
-warehouse  → {"size_m": [9e3, 9e3, 9], "aisle_m": [9e3, 9e3]}
-street     → {"house_m": [0.01, 0.01]}
-rooms      → {"room_m": [1, 1]}
-maze       → {"cell_m": [1, 1]}
-"""
-
-
-@pytest.mark.parametrize(("name", "given"), rows(TOO_MUCH))
+@pytest.mark.parametrize(("name", "given"), cases("kinds/kinds_too_much"))
 def test_what_would_take_too_much_memory_is_refused(name, given):
     with pytest.raises(ValueError, match=r"expected [0-9]+ at most"):
         draw(kind_of(name, given))
@@ -112,8 +99,10 @@ def test_what_would_take_too_much_memory_is_refused(name, given):
 )
 def test_what_does_not_go_together_is_refused(name, given):
     drawn = DrawnWorlds(make_recipe(name, {"world": given, "flight": {"margin_m": 0}}))
-    with pytest.raises(RecipeError, match="take values nearer to the preset's"):
-        drawn.world("train", 0, rng=np.random.default_rng(0))
+    refuses(
+        "take values nearer to the preset's",
+        lambda: drawn.world("train", 0, rng=np.random.default_rng(0)),
+    )
 
 
 def world_of(kind, seed):
@@ -131,7 +120,7 @@ def test_every_solid_is_of_a_class(name):
     assert set(named) <= set(CLASSES)
     labels = labels_by("class", ())
     assert labels.classes == ("nothing", *CLASSES)
-    assert [labels.classes[number] for number in labels.of(world)] == named
+    assert [labels.classes[number] for number in classes_of(world, labels)] == named
 
 
 @SLABS
@@ -161,17 +150,7 @@ def test_bad_values_are_named(kind):
                 kind(**{field.name: value})
 
 
-BOUNDS = """
-pillar    → {"round_share": 0.95}
-pillar    → {"oblong_ratio": 0.9}
-geometric → {"standing_share": 0.9}
-geometric → {"density": [0.0, 0.1]}
-geometric → {"scale": [0.0, 1.0]}
-geometric → {"clutter_spread_m": 0.0}
-"""
-
-
-@pytest.mark.parametrize(("name", "given"), rows(BOUNDS))
+@pytest.mark.parametrize(("name", "given"), cases("kinds/kinds_bounds"))
 def test_bounds_that_a_name_does_not_tell_are_kept(name, given):
     with pytest.raises(ValueError, match=re.findall(r"\w+", given)[0]):
         kind_of(name, given)

@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from scenegen.worlds.kinds.pillar import Pillar
 from tests.scenegen.kinds import Geom, draw, looks_like_share, looks_uniform
 
 MANY = {"size_m": (100.0, 60.0, 10.0), "density": (0.1, 0.1)}
 """600 pillars."""
-PAIR = {"size_m": (20.0, 10.0, 10.0), "density": (0.01, 0.01), "passage_share": 1.0}
-"""Two pillars, of which the second is set beside the first."""
 
 
 def hull(pillar):
@@ -26,16 +23,6 @@ def gaps(pillars):
     apart = np.linalg.norm(plan[:, None] - plan, axis=2) - hulls[:, None] - hulls
     apart[np.triu_indices(len(pillars))] = np.inf
     return apart
-
-
-def test_the_density_is_drawn_once_a_world_between_its_bounds():
-    kind = Pillar(size_m=(50.0, 80.0, 10.0), density=(0.01, 0.05))
-    counts = [len(draw(kind, seed)) for seed in range(80)]
-    assert looks_uniform(np.array(counts) / 4000.0, 0.01, 0.05)
-
-
-def test_a_world_too_small_for_its_density_has_one_pillar():
-    assert len(draw(Pillar(size_m=(1.0, 1.0, 1.0), density=(0.0, 0.01)))) == 1
 
 
 @pytest.mark.parametrize(
@@ -55,24 +42,6 @@ def test_sections_come_in_their_shares(round_share, oblong_share):
         assert looks_like_share(counted[name], len(pillars), share), (name, counted)
 
 
-def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide():
-    given = {"oblong_share": 1.0, "oblong_ratio": 4.0, "half_width_m": (0.2, 0.4)}
-    pillars = draw(Pillar(**MANY, round_share=0.0, **given))
-    assert looks_uniform([p.size[1] / p.size[0] for p in pillars], 1.0, 4.0)
-    assert looks_uniform([p.size[0] for p in pillars], 0.2, 0.4)
-
-
-@pytest.mark.parametrize("round_share", [0.0, 1.0])
-def test_pillars_stand_upright_on_the_ground_as_wide_and_tall_as_they_are_drawn(round_share):
-    given = {"half_width_m": (0.15, 0.9), "height_m": (2.0, 7.0)}
-    pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=0.0, **given))
-    assert looks_uniform([p.size[0] for p in pillars], 0.15, 0.9)
-    low, high = np.array([p.span for p in pillars]).T
-    assert_allclose(low, 0.0, rtol=0, atol=1e-9)
-    assert looks_uniform(high, 2.0, 7.0)
-    assert all(p.upright for p in pillars)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6, 1.0])
 def test_pillars_of_a_passage_come_in_their_share_its_width_from_an_earlier_ones_hull(share):
     """Set beside one that is itself set beside another, and so on, each passage is exactly as wide
@@ -86,13 +55,3 @@ def test_pillars_of_a_passage_come_in_their_share_its_width_from_an_earlier_ones
         # which of the earlier ones, from first to last
         chosen = exact.argmax(axis=1) / np.arange(1, len(exact) + 1)
         assert looks_uniform(chosen[20:], 0.0, 1.0)
-
-
-def test_passages_are_drawn_between_their_bounds_in_every_direction():
-    widths, angles = [], []
-    for seed in range(200):
-        first, second = draw(Pillar(**PAIR, passage_m=(0.3, 1.9)), seed)
-        widths.append(gaps([first, second])[1, 0])
-        angles.append(np.arctan2(*(second.position - first.position)[1::-1]) % (2 * np.pi))
-    assert looks_uniform(widths, 0.3, 1.9)
-    assert looks_uniform(angles, 0.0, 2 * np.pi)

@@ -8,19 +8,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from scenegen.base.errors import PublishError
 from scenegen.cli.generate import generate
 from scenegen.dataset.read import Dataset
 from scenegen.publish.card import command
 from scenegen.publish.stage import examine
+from tests.scenegen import refuses
 from tests.scenegen.verification.forge import edit_at
 
 
 @pytest.mark.parametrize("named", [None, "a:C", "pillar"])
 def test_a_kind_of_somebody_elses_has_to_be_named(asked, dataset, named):
     edit_at(dataset, "recipe.kind", '"a:B"')
-    with pytest.raises(PublishError, match="--kind"):
-        examine(dataclasses.replace(asked, kind=named))
+    refuses("--kind", lambda: examine(dataclasses.replace(asked, kind=named)))
 
 
 @pytest.mark.parametrize(("engine", "named"), [("my:Slow", "my:Slow"), ("mujoco", None)])

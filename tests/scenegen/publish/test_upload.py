@@ -9,6 +9,7 @@ from scenegen import load
 from scenegen.base.errors import PublishError
 from scenegen.publish.upload import publish, read_sums
 from tests.conftest import contents, dataset_in
+from tests.scenegen import refuses
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Repository
 
@@ -44,8 +45,7 @@ def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monke
     dataset_in(deep, counts={"train": 36, "val": 0, "test": 3}, shard_samples=3)
     asked = dataclasses.replace(asked, dataset=deep)
     hub.refuse_after = 15
-    with pytest.raises(PublishError, match="the same command goes on"):
-        publish(asked)
+    refuses("the same command goes on", publish, asked)
     assert hub.tags == {}
     hub.refuse_after = None
     staged, commit = publish(asked)
@@ -62,19 +62,19 @@ def test_no_tag_where_a_file_is_lost_or_others_publish_meanwhile(asked, hub, mon
         return read_sums(folder)
 
     hub.lose = "train-00001.h5"
-    with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5\)"):
-        publish(asked)
+    refuses(r"not everything arrived \(train-00001.h5\)", publish, asked)
     monkeypatch.setattr("scenegen.publish.upload.read_sums", read)
-    with pytest.raises(PublishError, match="412"):
-        publish(asked)
+    refuses("412", publish, asked)
     assert hub.tags == {}
 
 
 def test_a_tag_of_other_content_is_let_be(asked, hub):
     publish(dataclasses.replace(asked, tag="v1"))
     tags = dict(hub.tags)
-    with pytest.raises(PublishError, match="tag v1 is there with other content"):
-        publish(dataclasses.replace(asked, tag="v1", licence="CC0-1.0"))
+    refuses(
+        "tag v1 is there with other content",
+        lambda: publish(dataclasses.replace(asked, tag="v1", licence="CC0-1.0")),
+    )
     assert hub.tags == tags
 
 
@@ -92,8 +92,7 @@ def test_private_stays_private(asked, hub):
     publish(asked, private=True)
     assert hub.repositories[asked.repository].private
     hub.repositories[asked.repository].private = False
-    with pytest.raises(PublishError, match="is there and public"):
-        publish(asked, private=True)
+    refuses("is there and public", publish, asked, private=True)
 
 
 def test_a_refused_token_is_one_line_that_does_not_show_it(asked, hub, monkeypatch, caplog):
@@ -105,7 +104,6 @@ def test_a_refused_token_is_one_line_that_does_not_show_it(asked, hub, monkeypat
 
 def test_a_dataset_that_fails_its_check_goes_nowhere(asked, hub, verified):
     verified.append(Check("truth", False, "sample 3 of train differs"))
-    with pytest.raises(PublishError, match="truth: sample 3 of train differs; nothing is"):
-        publish(asked)
+    refuses("truth: sample 3 of train differs; nothing is", publish, asked)
     assert hub.log == []
     assert not asked.out.exists()

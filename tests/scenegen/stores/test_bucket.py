@@ -142,19 +142,3 @@ def test_the_server_is_killed_and_begun_again_in_mid_write(ceph, bucket, here, t
     one, other = (load(place, split="test")[5] for place in (f"s3://{bucket}/d", here))
     assert one.sha256() == other.sha256()
     assert verify(locate(f"s3://{bucket}/d", whole=True), quick=True).ok
-
-
-def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
-    ceph, bucket, here, tmp_path
-):
-    run = Run(tmp_path, f"s3://{bucket}/d")
-    there = wait_for(bucket, 20)
-    ceph.kill()
-    said = run.ends(1)
-    assert f"s3://{bucket}/d/" in said
-    assert "the store does not answer" in said
-    assert "give the same command again to go on" in said
-    ceph.begin()
-    assert wait_for(bucket, there) < SHARDS
-    Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    assert objects(bucket) == contents(here)

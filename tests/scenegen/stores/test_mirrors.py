@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from scenegen import load
-from scenegen.base.errors import BrokenError, DatasetError, StoreError
+from scenegen.base.errors import StoreError
 from scenegen.base.mirrors import ROOM, fetch, fetch_all, make_mirror, mirror_of, note_files
 from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
 from scenegen.verification import verify
 from tests.conftest import contents
+from tests.scenegen import refuses
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -59,8 +60,7 @@ def test_a_shard_is_fetched_when_it_is_first_opened(server, there, made):
     shutil.rmtree(there)
     again = load(str(folder), split="train")[3]
     assert again.sha256() == here[3].sha256()  # nothing is asked for twice
-    with pytest.raises(DatasetError, match=r"train-00000.h5: is missing"):
-        split[0]
+    refuses(r"train-00000.h5: is missing", lambda: split[0])
 
 
 def test_everything_is_fetched_at_once_where_all_is_needed(there, made):
@@ -101,12 +101,10 @@ def test_what_was_used_longest_ago_makes_room(mirrored, monkeypatch):
         assert (folder / name).read_bytes() == content[name]
         os.utime(folder / name, ns=(turn, turn))
     assert names(folder) == {"dataset.json", "d.h5", "a.h5"}
-    with pytest.raises(StoreError, match=f"made room for others.*{ROOM}"):
-        fetch_all(folder, content)
+    refuses(f"made room for others.*{ROOM}", fetch_all, folder, content)
     monkeypatch.setenv(ROOM, "much")
     (folder / "b.h5").unlink(missing_ok=True)
-    with pytest.raises(StoreError, match=f"{ROOM}=much: expected gigabytes, such as 50"):
-        fetch(folder / "b.h5")
+    refuses(f"{ROOM}=much: expected gigabytes, such as 50", fetch, folder / "b.h5")
 
 
 def test_other_bytes_than_the_manifests_are_refused_and_not_kept(there):
@@ -114,18 +112,15 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(there):
     path.write_bytes(path.read_bytes()[:-1] + b"?")
     split = load(NAME, split="test")
     told = f"{NAME}/test-00000.h5: is not the file that the manifest lists"
-    with pytest.raises(StoreError, match=told):
-        split[0]
+    refuses(told, lambda: split[0])
     assert names(split.dataset.folder) == {"dataset.json"}
-    with pytest.raises(StoreError, match=told):
-        locate(NAME, whole=True)
+    refuses(told, locate, NAME, whole=True)
 
 
 def test_a_file_that_is_missing_at_the_store_is_named(mirrored):
     folder, _ = mirrored
     Store(NAME).remove("a.h5")
-    with pytest.raises(BrokenError, match=f"{NAME}/a.h5: is missing at the store"):
-        fetch(folder / "a.h5")
+    refuses(f"{NAME}/a.h5: is missing at the store", fetch, folder / "a.h5")
     assert names(folder) == {"dataset.json"}
 
 
@@ -134,8 +129,7 @@ def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_store(server, there
     shutil.copytree(folder, tmp_path / "theirs")
     shutil.copy(f"{folder}.place", tmp_path / "theirs.place")
     count = len(server.log)
-    with pytest.raises(DatasetError, match=r"theirs/train-00000.h5: is missing"):
-        load(tmp_path / "theirs")[0]
+    refuses(r"theirs/train-00000.h5: is missing", lambda: load(tmp_path / "theirs")[0])
     fetch(folder / "not-listed.h5")
     assert mirror_of(tmp_path / "theirs") is None
     assert len(server.log) == count

@@ -24,8 +24,9 @@ from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
 from scenegen.verification import verify
-from tests.command_line import done, rows, run
+from tests.command_line import done, run
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -85,8 +86,7 @@ def test_what_others_put_is_never_replaced_unread(store):
     mine.replace("x", b"2")
     theirs.put("x", b"theirs")
     for put in (mine.replace, mine.create):
-        with pytest.raises(ConflictError, match=f"{NAME}/x: somebody else has put other bytes"):
-            put("x", b"3")
+        refuses(f"{NAME}/x: somebody else has put other bytes", put, "x", b"3")
     mine.create("x", b"theirs")  # the same bytes are no conflict
     assert mine.read("x", 6) == b"theirs"
     mine.replace("x", b"4")
@@ -121,7 +121,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(server, store, made):
         fresh = []
 
         def noted(report, new, fresh=fresh):
-            fresh += [report.file] * new
+            fresh += [report.entry.file] * new
 
         try:
             whole = write(on_shard=noted).complete
@@ -180,8 +180,7 @@ def test_a_disk_that_cannot_hold_a_copy_is_no_damage(gone, store, made, monkeypa
         )
     else:
         monkeypatch.setattr(system, "get_file", full)
-    with pytest.raises(StoreError, match=r"train-00002.h5: cannot be copied to this machine"):
-        write()
+    refuses(r"train-00002.h5: cannot be copied to this machine", write)
     assert objects(store) == contents(made)
 
 
@@ -210,8 +209,10 @@ def test_a_late_rank_does_not_replace_a_finished_manifest(store, made):
 def test_two_drivers_of_different_datasets_never_mix(there, store, made, monkeypatch):
     """The later one is refused where the first has begun; where both find nothing, one wins the
     manifest."""
-    with pytest.raises(DatasetError, match="holds another dataset: seed is 3 there, 4 asked for"):
-        build(plan(Store(NAME), seed=4))
+    refuses(
+        "holds another dataset: seed is 3 there, 4 asked for",
+        lambda: build(plan(Store(NAME), seed=4)),
+    )
     shutil.rmtree(there)
     begin = Store.replace
     theirs = (made / "dataset.json").read_bytes().replace(b'"seed": 3', b'"seed": 4')
@@ -222,8 +223,7 @@ def test_two_drivers_of_different_datasets_never_mix(there, store, made, monkeyp
         begin(self, name, content)
 
     monkeypatch.setattr(Store, "replace", another_was_faster)
-    with pytest.raises(StoreError, match="another run has begun another dataset there"):
-        write()
+    refuses("another run has begun another dataset there", write)
     assert objects(store) == {"dataset.json": theirs}
 
 
@@ -253,32 +253,14 @@ def test_force_replaces_another_dataset(store, made):
     assert objects(store) == contents(made)
 
 
-TAKEN = f"""
-rescan {NAME} --noise range:0.02 -o s3://lab/again
-take {NAME} --split train -o s3://lab/train
-take {NAME} --split test -o s3://lab/test
-merge s3://lab/train s3://lab/test -o s3://lab/both
-"""
-NOT_TAKEN = f"""
-take {NAME} --n 1 -o {NAME} --force  → itself
-rescan {NAME} -o {NAME} --force      → itself
-convert {NAME} --to webdataset -o s3://lab/x → s3://… is not written to
-world {NAME} 0 -o s3://lab/w.xml     → s3://… is not written to
-generate pillar --out gs://lab/x     → gs://… is not written to
-inspect s3://lab/none                → s3://lab/none: not a dataset, it has no dataset.json
-"""
-
-
 def test_commands_take_a_place_and_refuse_it_where_they_cannot(
     there, store, made, standing, capsys
 ):
     said = json.loads(done(capsys, f"inspect {NAME} --json"))
     assert said["bytes"] == sum(path.stat().st_size for path in made.iterdir())
-    for words in TAKEN.strip().splitlines():
-        done(capsys, f"{words} --quiet")
-    for name in ("again", "both"):
-        assert verify(locate(f"s3://lab/{name}", whole=True), quick=True).ok
-    for words, told in rows(NOT_TAKEN):
+    done(capsys, f"generate --like {NAME} --noise range:0.02 -o s3://lab/again --quiet")
+    assert verify(locate("s3://lab/again", whole=True), quick=True).ok
+    for words, told in cases("stores/stores_not_taken"):
         code, _, wrong = run(capsys, words)
         assert code in (1, 2)
         assert told in wrong
@@ -292,10 +274,8 @@ def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):
     fsspec.filesystem("memory").put(f"{made}/*", "/pillar/")
     there, here = (load(place, split="test")[2] for place in ("memory://pillar", made))
     assert there.sha256() == here.sha256()
-    with pytest.raises(StoreError, match="is for reading alone"):
-        build(plan(Store("memory://new")))
-    with pytest.raises(DatasetError, match=r"fsspec has nothing here that reads it \(ValueError\)"):
-        locate("nothing://there")
+    refuses("is for reading alone", lambda: build(plan(Store("memory://new"))))
+    refuses(r"fsspec has nothing here that reads it \(ValueError\)", locate, "nothing://there")
 
 
 def test_without_s3fs_one_line_says_what_to_install(monkeypatch):
@@ -306,8 +286,7 @@ def test_without_s3fs_one_line_says_what_to_install(monkeypatch):
 
     monkeypatch.setattr(core, "url_to_fs", absent)
     forget()
-    with pytest.raises(DatasetError, match=r"s3fs.*\[s3\]"):
-        locate(NAME)
+    refuses(r"s3fs.*\[s3\]", locate, NAME)
 
 
 PAGE = b"<html>log in</html>"
@@ -377,18 +356,7 @@ def test_an_odd_servers_answer_ends_in_one_line(answer, verbs, bucket, monkeypat
         assert not {"AKIATOLD", "secret"} & set(line.split())
 
 
-REFUSALS = """
-403 → QuotaExceeded       → the store is full (403 QuotaExceeded)
-507 → InsufficientStorage → the store is full
-400 → ExpiredToken        → the store refuses the credentials (400 ExpiredToken)
-403 → AccessDenied        → the store refuses the credentials (403 AccessDenied)
-404 → NoSuchBucket        → there is no such bucket (404 NoSuchBucket)
-500 → InternalError       → the store does not answer (500 InternalError)
-412 → PreconditionFailed  → somebody else has put other bytes there
-"""
-
-
-@pytest.mark.parametrize(("status", "code", "told"), rows(REFUSALS))
+@pytest.mark.parametrize(("status", "code", "told"), cases("stores/stores"))
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
     status, code, told, bucket, monkeypatch
 ):

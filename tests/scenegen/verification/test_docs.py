@@ -2,12 +2,10 @@
 
 import re
 
-import pytest
-
-from scenegen.base.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from tests.command_line import example, page, run
+from tests.scenegen import refuses
 
 
 def test_the_table_has_the_checks_in_order():
@@ -31,5 +29,4 @@ def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
     assert (low.ok, low.faults, bad.ok, bad.faults) == (False, 12, False, 12)
     assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail
     assert run(capsys, f"verify {folder} --quick --check my_checks:high")[0] == 0
-    with pytest.raises(DatasetError, match=r"--check: .*none"):
-        verify(folder, own=["my_checks:none"])
+    refuses(r"--check: .*none", verify, folder, own=["my_checks:none"])

@@ -4,7 +4,6 @@ so."""
 import itertools
 
 import numpy as np
-import pytest
 
 from scenegen.verification.splits import (
     OBSERVED_IOU,
@@ -14,14 +13,6 @@ from scenegen.verification.splits import (
     signature,
     standing_overlap,
 )
-
-
-@pytest.mark.parametrize("shape", [(80, 80, 40), (7, 9, 3), (1, 1, 1)])
-def test_a_signature_counts_every_voxel_once(shape):
-    occupancy = np.random.default_rng(0).random(shape) < 0.3
-    blocks = signature(occupancy)
-    assert blocks.shape == (320,)
-    assert blocks.sum() == occupancy.sum()
 
 
 def test_no_near_twin_is_missed(rng):

@@ -1,15 +1,11 @@
 """The page in a real browser: needs Chromium and playwright, which is in none of our extras."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import scenegen
-from scenegen.dataset.read import Dataset
-from scenegen.view.look import Guess, Route, looks
-from scenegen.view.page import page
+from scenegen.view.look import Guess, Route
 from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
 
@@ -56,46 +52,6 @@ def reached(browser, address, first=0):
 def state(tab, name):
     """What a page says of itself."""
     return tab.evaluate(f"document.body.dataset.{name}")
-
-
-def test_a_hostile_dataset_runs_no_script_in_a_browser(browser, made, tmp_path):
-    (look,), _ = looks(Dataset(made), "train", [0])
-    bad = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["occupancy"]})
-    path = tmp_path / "page.html"
-    path.write_text(page([bad], title=HOSTILE, notes=[HOSTILE]), encoding="utf-8")
-    tab, told = reached(browser, path.as_uri())
-    assert tab.locator("img").count() == 0
-    assert tab.locator("#title").inner_text().startswith("</script>")
-    tab.wait_for_timeout(300)
-    assert told == []
-
-
-STRICT = """<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src
-'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src https: http: data:; font-src
-https:; connect-src https:; child-src https: data:">"""
-"""What the notebooks of VS Code allow: no script from a blob."""
-
-
-def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
-    browser, made, tmp_path
-):
-    sample = Dataset(made).split("train")[0]
-    path = np.linspace(sample.origin, sample.position, 3)
-    shown = scenegen.show(sample, sample.observed, path, out=tmp_path / "page.html")
-    (tmp_path / "cell.html").write_text(STRICT + shown._repr_html_(), encoding="utf-8")
-    tab = browser.new_page(viewport={"width": 900, "height": 700})
-    told = []
-    tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
-    tab.goto((tmp_path / "cell.html").as_uri())
-    frame = tab.frame_locator("iframe")
-    frame.locator("body[data-sample='0']").wait_for(state="attached", timeout=60_000)
-    assert "paths" in frame.locator("body").get_attribute("data-layers").split()
-    assert told == []
-    tab = browser.new_page(java_script_enabled=False)
-    tab.goto((tmp_path / "cell.html").as_uri())
-    assert "needs JavaScript" in tab.frame_locator("iframe").locator("body").inner_text()
-    assert not tab.frame_locator("iframe").locator("#panel").is_visible()
-    assert tab.locator("img").bounding_box()["width"] > 300
 
 
 def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, made):
@@ -193,21 +149,3 @@ def test_views_side_by_side_have_one_camera(browser, made):
         assert "free" in state(tab, "layers")
         tab.get_by_role("button", name="truth").click()
         assert (state(tab, "views"), told) == ("1", [])
-
-
-def test_samples_play_one_after_the_other(browser, made):
-    with served(made) as server:
-        tab, told = reached(browser, server.address)
-        tab.click("#play")  # which has the focus then
-        later = "body:not([data-sample='0']):not([data-sample='1'])"
-        tab.wait_for_selector(later, state="attached")
-        tab.keyboard.press(" ")
-        tab.wait_for_timeout(1000)
-        rests = state(tab, "sample")
-        tab.wait_for_timeout(1000)
-        assert (state(tab, "sample"), told) == (rests, [])
-        with tab.expect_download() as saved:
-            tab.get_by_role("button", name="Film").click()
-        assert saved.value.suggested_filename == f"samples-{rests}.webm"
-        assert saved.value.path().read_bytes()[:4] == b"\x1aE\xdf\xa3"
-        assert told == []

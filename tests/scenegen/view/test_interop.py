@@ -3,7 +3,6 @@
 import io
 import re
 import sys
-import textwrap
 from dataclasses import make_dataclass
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -38,40 +37,6 @@ def test_sparse_batches_hold_every_observed_voxel(made):
     dense = list(names["batches"](samples, 3))
     assert len(dense) == len(samples) // 3
     assert_array_equal(dense[0][0], observed)
-
-
-@pytest.mark.parametrize(
-    ("library", "count"),
-    [
-        ("jax", "gradients.sum()"),
-        ("tensorflow", "next(iter(dataset))[0].numpy().sum()"),
-        ("torch_geometric", "len(cloud.pos)"),
-    ],
-)
-def test_other_libraries_take_what_the_page_gives_them(made, library, count):
-    pytest.importorskip(library)
-    samples = Dataset(made).split("train")[:8]
-    names = {"samples": samples, "parameters": 0, "batch": scenegen.collate(samples)}
-    names["step"] = lambda parameters, observed, *_: (parameters, observed)
-    (lines,) = re.findall(rf"^    import {library}\b.*\n(?:(?:    .*)?\n)+", PAGE, re.M)
-    exec(BATCHES + textwrap.dedent(lines), names)
-    assert eval(count, names) == sum(sample.observed.sum() for sample in samples)
-
-
-def test_rerun_s_recordings_hold_predictions_and_flights(made, tmp_path):
-    pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
-    names = {}
-    exec(RERUN, names)
-    from rerun.chunk import RrdReader
-
-    samples = Dataset(made).split("train")[:2]
-    free = lambda sample: SimpleNamespace(occupied=lambda: sample.free)  # noqa: E731
-    names["record_predictions"](samples, free, tmp_path / "a.rrd")
-    names["record_flight"](scenegen.Flight("pillar"), tmp_path / "b.rrd")
-    readers = [RrdReader(path) for path in tmp_path.iterdir()]
-    found = {chunk.entity_path for reader in readers for chunk in reader.stream()}
-    assert {"/prediction", "/truth", "/world/points", "/curves/goal"} <= found
-    assert all(reader.blueprints() for reader in readers)
 
 
 def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):

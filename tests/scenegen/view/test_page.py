@@ -10,15 +10,14 @@ from html.parser import HTMLParser
 
 import h5py
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
-from scenegen.base.errors import DatasetError
 from scenegen.dataset.read import Dataset
 from scenegen.view.look import look_at, looks
 from scenegen.view.page import HERE, MOST_VOXELS, page
 from tests.command_line import refused
+from tests.scenegen import refuses
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%%DATA%%&amp;\u2028"
 
@@ -127,12 +126,13 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, tmp_path, cap
 def test_what_cannot_be_shown_is_an_error(made, look):
     """A grid that no browser takes, and a pose that is none."""
     dataset = Dataset(made)
-    with pytest.raises(DatasetError, match=f"{MOST_VOXELS} at most"):
-        page([replace(look, grid=GridSpec(shape=(256, 256, 128)))], title="")
+    refuses(
+        f"{MOST_VOXELS} at most",
+        lambda: page([replace(look, grid=GridSpec(shape=(256, 256, 128)))], title=""),
+    )
     sample = dataset.split("train")[0]
     sample.__dict__["position"] = np.array([np.nan, 0, 0])
-    with pytest.raises(DatasetError, match="pose"):
-        look_at(sample, dataset.grid, dataset.lidar, "train 0")
+    refuses("pose", look_at, sample, dataset.grid, dataset.lidar, "train 0")
 
 
 def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made, monkeypatch):
