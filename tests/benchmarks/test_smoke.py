@@ -22,46 +22,30 @@ NUMBER = r"(\d[\d.]*)"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 FIGURES = rf"""
 anywhere  → `geometric`, the default sensor \| N .* \| N
-anywhere  → points alone \| – \| N
 costs     → missed: inside \| N % \| N
-costs     → invented: elsewhere \| +\| N
 elsewhere → default range:0\.05 \| N
-elsewhere → scaffold, all sensors; careful \| [+-]N
 extras    → the core \| N \|
-extras    → `\[train\]` \| N \|
 fly       → `optimistic` \| N
-fly       → `tortuosity` \| N
 folders   → --version` \| N, N \|
-folders   → resume, unlisted \| N, N \|
-folders   → merge \| N, N \| N \| N \|
 generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → extrude: maze N
 generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze: maze N
 generate  → N samples a second and core
-generate  → everything else
 generate  → --compact: N samples in N s .* N s of proc
 inference → occ +:  eager +N ms
 inference → openvino +N ms
 intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
-kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
 noise     → pillar: scan +datasheet +N ms +N times
-noise     → pillar: attach +clean +N ms +1\.00 times
-noise     → pillar: generate N samples +datasheet +N ms +N times
 networks  → `columns` \| N
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
 peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
 rays      → analytic +N ms a scan
-rays      → kernels cached: N s
 real      → `pillar` \| N \| N .* \| N
-real      → mean of the places
 rehearsal → N nodes, a bucket \| N \| N \|
-rehearsal → N requests
 sensors   → livox-avia +N ms a sample
-sensors   → map ahead +N ms a sample
 stream    → generate --compact +N \(1\.00\) +N
-stream    → 1 workers +N \(N\) +N
 study {STUDY} --out out → out/(c)laims\.png
 study {STUDY} --out out → out/(l)earning\.png
 training {DATA} → loader, one process: N samples/s

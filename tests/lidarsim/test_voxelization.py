@@ -1,8 +1,7 @@
 """Laws of the voxel grids: observed by the floor formula, free by overlap of segments with boxes.
 
-The truth comes from `reference`: a slab test of every voxel against every ray, in float64 with a
-margin (voxels that must and voxels that may be free) and in rational arithmetic. Where these tests
-accept either answer, they do so only within 1e-9 m of a grid plane.
+The truth comes from `reference`: a slab test of every voxel against every ray, in rational
+arithmetic, with voxels shrunk (which must be free) and grown (which may be) by 1e-9 m.
 """
 
 import numpy as np
@@ -40,9 +39,9 @@ def assert_right(scan, grid, got):
     assert got.observed.shape == got.free.shape == grid.shape
     assert got.observed.dtype == got.free.dtype == np.bool_
     assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
-    reach = reference.lengths(scan.ranges, scan.lidar.max_range_m)
-    bounds = (-reference.TOUCH_M, reference.TOUCH_M)
-    must, may = (reference.swept(*given_, reach, by) & ~got.observed for by in bounds)
+    reach, touch = reference.lengths(scan.ranges, scan.lidar.max_range_m), reference.TOUCH_M
+    must = reference.swept(*given_, reach, at_least=touch, margin_m=-touch) & ~got.observed
+    may = reference.swept(*given_, reach, margin_m=touch) & ~got.observed
     missed, extra = np.argwhere(must & ~got.free), np.argwhere(got.free & ~may)
     assert len(missed) == 0, f"not free but crossed: {missed[:5].tolist()}"
     assert len(extra) == 0, f"free but not crossed: {extra[:5].tolist()}"
@@ -51,20 +50,17 @@ def assert_right(scan, grid, got):
 
 
 @pytest.mark.parametrize("away_m", [0.0, 50.0])
-def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(away_m):
+def test_rays_of_a_lidar_on_the_default_grid(away_m):
     """Three rays in ten return nothing."""
-    rng, lidar = np.random.default_rng(1), Lidar()
+    rng, lidar = np.random.default_rng(1), Lidar(rows=3, columns=9)
     reach = rng.uniform(0.05, lidar.max_range_m, lidar.shape).astype(np.float32)
     reach[rng.random(reach.shape) < 0.3] = np.inf
     attitude = reference.random_quaternion(rng)
     pose = Pose(position=rng.uniform(-away_m, away_m, 3), quaternion=attitude)
-    scan = Scan(reach, pose, lidar)
-    grid = GridSpec()
-    got = voxelize(scan, grid)
-    must, may = assert_right(scan, grid, got)
-    assert must.sum() > 20_000
-    assert (may & ~must).sum() < 200  # the margin excuses next to nothing
-    assert got.observed.sum() > 500
+    scan, grid = Scan(reach, pose, lidar), GridSpec()
+    must, may = assert_right(scan, grid, voxelize(scan, grid))
+    assert must.sum() > 500
+    assert (may & ~must).sum() < 20  # the margin excuses next to nothing
 
 
 PARTS = [0.0, -0.0, 1.0, -1.0, 1e-17, -1e-12, 1e-9, 0.5, -1e-300, -5e-324, 1 - 2.0**-53]
@@ -76,9 +72,7 @@ GRIDS += [GridSpec(shape=(1, 1, 1), voxel_m=3.0), GridSpec(shape=(11, 2, 7), vox
 
 def test_any_rays_on_small_grids_match_rational_arithmetic():
     """Parallel, all but parallel, diagonal, tiny, endless and usual rays, around the sensor or with
-    an `origin` from which they enter the map from outside, or miss it. The exact answer lies
-    between the two float64 references, which are thereby checked too, and so must the answer under
-    test."""
+    an `origin` from which they enter the map from outside, or miss it."""
     sure = unsure = 0
     for seed in range(320):
         rng = np.random.default_rng(seed)
@@ -97,10 +91,6 @@ def test_any_rays_on_small_grids_match_rational_arithmetic():
         got = voxelize(scan, grid, origin)
         assert_array_equal(got.origin, grid.origin_at(position) if origin is None else origin)
         must, may = assert_right(scan, grid, got)
-        length = reference.lengths(scan.ranges, scan.lidar.max_range_m)
-        exact = reference.exact_swept(*inputs(scan, grid, got), length) & ~got.observed
-        assert not (must & ~exact).any()
-        assert not (exact & ~may).any()
         if origin is not None and not special:
             sure, unsure = sure + must.sum(), unsure + (may & ~must).sum()
     assert unsure < 0.01 * sure  # the margin excuses next to nothing
@@ -122,8 +112,8 @@ def test_rays_within_a_plane_free_the_voxels_above_it_alone():
         scan, origin = scan_of(rays, reach), rng.choice([-2.0, -1.0, 0.0], 3, p=[0.15, 0.7, 0.15])
         got = voxelize(scan, DYADIC, origin)
         given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
-        exact = reference.exact_swept(*given_, length)
-        assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+        exact = reference.swept(*given_, length)
+        assert_array_equal(exact, reference.swept(*given_, length, at_least=1e-9))
         assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
         assert_array_equal(got.free, exact & ~got.observed)
         crossed += exact.sum()

@@ -31,43 +31,31 @@ RAYS = 400
 """Aimed at each solid."""
 
 
-def features(rng, kind, size, count):
-    """Points on a solid and normals there, in its frame; many on edges, rims, seams and corners."""
-    ball = unit(rng.normal(size=(count, 3)))
-    sign = rng.choice([-1.0, 1.0], (count, 3))
-    ends = rng.random((count, 3)) < 0.5
-    if kind in ("sphere", "ellipsoid"):
-        axes = np.broadcast_to(size, 3)
-        return axes * ball, unit(ball / axes)
-    if kind == "box":
-        ends[np.arange(count), rng.integers(0, 3, count)] = True
-        share = np.where(ends, sign, rng.uniform(-1, 1, (count, 3)))
-        return share * size, unit(np.where(ends, share * rng.random((count, 3)), 0.0))
-    radius, half = size
-    ring, up = unit(ball * [1.0, 1.0, 0.0]), sign[:, :1] * [0.0, 0.0, 1.0]
-    side = radius * ring + half * up * np.where(ends[:, :1], 1.0, rng.random((count, 1)))
-    flat = half * up + radius * ring * np.where(ends[:, 1:2], 1.0, rng.random((count, 1)))
-    round_end = radius * ball + half * np.sign(ball) * [0.0, 0.0, 1.0]
-    cap, out = (flat, up) if kind == "cylinder" else (round_end, ball)
-    capped = rng.random((count, 1)) < 0.3
-    return np.where(capped, cap, side), np.where(capped, out, ring)
+def features(rng, kind, size):
+    """Points in a solid's frame: on its edges, rims, seams, corners and poles, a little beside
+    them, and anywhere in it."""
+    half = {"sphere": (0, 0, 0), "ellipsoid": (0, 1, 2), "box": (0, 1, 2)}.get(kind, (0, 0, 1))
+    extent = size[list(half)]
+    if kind == "capsule":
+        extent[2] += size[0]
+    shares = [0.0, 0.5, 0.5**0.5, 1.0, 1.0, 1 - 1e-12, 1 + 1e-12, size[-1] / extent[2]]
+    special = rng.choice(shares, (RAYS, 3)) * rng.choice([-1, 1], (RAYS, 3))
+    some = rng.random((RAYS, 1)) < 0.8
+    return extent * np.where(some, special, rng.uniform(-1, 1, (RAYS, 3)))
 
 
-def aimed(rng, points, normals, size_m):
+def aimed(rng, points, size_m):
     """Rays at points of a solid: random, touching, along axes, from right there, from inside."""
-    count = len(points)
-    sort = rng.integers(0, 5, (count, 1))
-    rays = unit(rng.normal(size=(count, 3)))
-    tilt = rng.choice([0, 0, 1e-16, -1e-16, 1e-14, -1e-12, 1e-8, -1e-4], (count, 1))
-    touching = unit(rays - (rays * normals).sum(axis=1, keepdims=True) * normals) + tilt * normals
-    axes = rng.permuted(np.tile([1.0, 0.0, 0.0], (count, 1)), axis=1)
-    rays = np.select([sort == 1, sort == 2], [touching, axes * rng.choice([-1, 1])], rays)
-    away = size_m * 10.0 ** rng.uniform(-2, 2, (count, 1))
-    away[rng.random(count) < 0.2] = FAR_M
-    share = rng.random((count, 1))
-    inside = share * rng.permutation(points) + (1 - share) * rng.permutation(points)
-    origins = np.select([sort == 3, sort == 4], [points, inside], points - away * rays)
-    return origins, unit(np.where(sort == 4, points - inside, rays))
+    sort = rng.integers(0, 4, (RAYS, 1))
+    rays = unit(rng.normal(size=(RAYS, 3)))
+    tilt = rng.choice([0, 0, 1e-16, -1e-16, 1e-14, -1e-12, 1e-8, -1e-4], (RAYS, 3))
+    axes = rng.permuted(np.tile([1.0, 0.0, 0.0], (RAYS, 1)), axis=1) + tilt
+    rays = np.where(sort == 1, axes * rng.choice([-1, 1], (RAYS, 1)), rays)
+    away = size_m * 10.0 ** rng.uniform(-2, 2, (RAYS, 1))
+    away[rng.random(RAYS) < 0.2] = FAR_M
+    inside = rng.random((RAYS, 1)) * rng.permutation(points)
+    origins = np.select([sort == 2, sort == 3], [points, inside], points - away * rays)
+    return origins, unit(np.where(sort == 3, points - inside, rays))
 
 
 def right(kind, size, rays, found, tol):
@@ -106,7 +94,7 @@ def test_one_solid_of_any_size_from_anywhere(kind, count):
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         place, turn = data.geom_xpos[0], data.geom_xmat.reshape(3, 3).astype(np.longdouble)
-        points, rays = aimed(rng, *features(rng, kind, size, RAYS), float(size.max()))
+        points, rays = aimed(rng, features(rng, kind, size), float(size.max()))
         origins = (points @ turn.T + place).astype(np.float64)
         vectors = unit((rays @ turn.T).astype(np.float64))
         found = AnalyticEngine.of(model).cast(origins, vectors[:, None], np.inf)[:, 0]

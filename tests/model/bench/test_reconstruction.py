@@ -23,6 +23,7 @@ from scenegen.model.completion.protocol import Conservative, Empty, Extrude, Pre
 from scenegen.model.config import Thresholds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
+from tests.refusals import refuses
 
 GRID = GridSpec(shape=(7, 6, 5))
 DISTANCES, SHARES = (
@@ -184,5 +185,4 @@ def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
     completion = Prediction(tudf=tudf)
     assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
     assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
-    with pytest.raises(ValueError, match="probability"):
-        Prediction()
+    refuses("neither", Prediction)
