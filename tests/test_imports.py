@@ -2,6 +2,8 @@
 files go in a circle."""
 
 import ast
+import importlib
+import re
 import subprocess
 from functools import cache
 from graphlib import TopologicalSorter
@@ -112,6 +114,15 @@ def test_a_package_offers_names_that_no_module_takes(package):
     assert all(getattr(package, name).__doc__ for name in offered)
     assert not {f"{package.__name__}.{name}" for name in offered} & {*modules(), *rooms()}
     refuses(package.__name__, getattr, package, "absent", error=AttributeError)
+
+
+def test_every_place_that_stands_in_text_is_there():
+    """As `module:Object`, in registries and tables."""
+    text = "\n".join(path.read_text(encoding="utf-8") for path in modules().values())
+    places = set(re.findall(r'"((?:lidarsim|scenegen)\.[\w.]+):(\w+)"', text))
+    assert len(places) > 50
+    wrong = {place for place in places if not hasattr(importlib.import_module(place[0]), place[1])}
+    assert wrong == set()
 
 
 def test_nothing_is_imported_by_a_name_that_users_give_their_own_files():

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -20,27 +21,10 @@ from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
 
 named = cache(SENSORS.find)
-SPINNING = """
-velodyne-vlp-16       →  16 → -15     → 15     → 0.199    →  289000 → 100
-velodyne-hdl-32e      →  32 → -30.67  → 10.67  → 0.166    →  695000 → 100
-velodyne-hdl-64e      →  64 → -24.33  → 2      → 0.1728   → 1333000 → 120
-ouster-os0-32         →  32 → -46.26  → 43.47  → 0.351563 →  327680 → 50
-ouster-os0-64         →  64 → -46.26  → 44.7   → 0.351563 →  655360 → 50
-ouster-os0-128        → 128 → -46.26  → 45.75  → 0.351563 → 1310720 → 50
-ouster-os1-32         →  32 → -21.82  → 20.03  → 0.351563 →  327680 → 120
-ouster-os1-64         →  64 → -21.82  → 20.67  → 0.351563 →  655360 → 120
-ouster-os1-128        → 128 → -21.82  → 20.95  → 0.351563 → 1310720 → 120
-ouster-os2-32         →  32 → -11.09  → 10.24  → 0.351563 →  327680 → 240
-ouster-os2-64         →  64 → -11.09  → 10.58  → 0.351563 →  655360 → 240
-ouster-os2-128        → 128 → -11.09  → 10.76  → 0.351563 → 1310720 → 240
-hesai-xt-32           →  32 → -16     → 15     → 0.18     →  640000 → 120
-hesai-qt-128          → 128 → -52.627 → 52.627 → 0.4      → 1152000 → 50
-robosense-helios-1615 →  32 → -16     → 15     → 0.2      →  576000 → 150
-robosense-helios-16p  →  16 → -15     → 15     → 0.2      →  288000 → 150
-"""
-"""Beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a
-second, range in metres."""
-SPINNING = {name: list(map(float, rest)) for name, *rest in rows(SPINNING)}
+DOCUMENTS = rows(Path(__file__).with_name("documents.txt").read_text(encoding="utf-8"))
+"""Of each document: beams, lowest and highest beam in degrees, degrees from column to column at
+10 Hz, points a second, range in metres."""
+SPINNING = {name: list(map(float, figures)) for name, *figures in DOCUMENTS}
 
 
 def angles_deg(sensor):
