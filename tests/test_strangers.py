@@ -11,6 +11,7 @@ import torch
 from scenegen.__main__ import PLACES
 from scenegen.base.files import whole
 from tests.command_line import ROOT, SMALL, done, refused, rows
+from tests.refusals import check_wording, refuses_command
 from tests.scenegen.base import everywhere
 
 FILES = f"""
@@ -97,7 +98,9 @@ def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
     content = b"{}" if path.suffix == ".json" else b"mine"
     path.write_bytes(content)
     before = set(here.rglob("*"))
-    assert (folder or name) in refused(capsys, words)
+    line = refused(capsys, words)
+    assert (folder or name) in line
+    check_wording(f"{words} {name}", line.rstrip("\n"))
     assert path.read_bytes() == content
     assert set(here.rglob("*")) == before
 
@@ -112,5 +115,5 @@ def test_its_own_is_replaced_until_somebody_changes_it(words, name, here, capsys
         done(capsys, words)
     content = (here / name).read_bytes() + b"and mine"
     (here / name).write_bytes(content)
-    assert "not as scenegen wrote it" in refused(capsys, words)
+    refuses_command(capsys, words)
     assert (here / name).read_bytes() == content

@@ -4,16 +4,13 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lidarsim.grid import Ints
 from scenegen.base.errors import BrokenError, DatasetError, raised_as
 from scenegen.dataset.schema import ShardEntry
-
-if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
 
 
 def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
@@ -43,7 +40,8 @@ class Rows(NamedTuple):
 class Piece:
     """Samples of a split that lie in one shard."""
 
-    dataset: "Dataset"
+    dataset: Any
+    """Its `scenegen.dataset.read.Dataset`; that module imports this one."""
     entry: ShardEntry
     rows: Ints | None = None
     """Rows of the shard, in order; None for all."""

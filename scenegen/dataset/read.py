@@ -24,9 +24,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.manifest import Manifest
-from scenegen.dataset.piece import Piece as Piece
-from scenegen.dataset.piece import Rows as Rows
-from scenegen.dataset.piece import advised as advised
+from scenegen.dataset.piece import Piece, advised
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 import scenegen
 from scenegen.base.errors import DatasetError
 from scenegen.worlds.clouds.write import write_points
-from tests.command_line import done, refused, run
+from tests.command_line import done, run
+from tests.refusals import refuses, refuses_command
 from tests.scenegen.view.test_page import Seen
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
@@ -78,18 +79,12 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     pictured = scenegen.show(str(here / "scan.pcd"), out=here / "picture.html")
     assert (pictured.looks, repr(pictured)) == ((), "<Shown: a picture>")
     assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
-    with pytest.raises(DatasetError, match="weights"):
-        scenegen.show(here / "shard.safetensors")
+    refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
 
 
 def test_files_that_are_none_of_these_end_in_one_line(here, capsys):
-    for name in ("broken.h5", "none.h5", "none.pcd", "none.xml", "none"):
-        assert name in refused(capsys, f"inspect {here}/{name}")
-    assert "shard of a dataset" in refused(capsys, f"inspect {here}/shard.h5")
-    for name, part in (
-        ("split.h5", "--predictions"),
-        ("bad", "metrics.csv"),
-        ("empty.npz", ".npz"),
-    ):
-        assert part in refused(capsys, f"render {here}/{name} -o {here}/x.png")
+    for name in ("broken.h5", "none.h5", "none.pcd", "none.xml", "none", "shard.h5"):
+        refuses_command(capsys, f"inspect {here}/{name}")
+    for name in ("split.h5", "bad", "empty.npz"):
+        refuses_command(capsys, f"render {here}/{name} -o {here}/x.png")
         assert not (here / "x.png").exists()

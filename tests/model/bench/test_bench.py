@@ -3,9 +3,6 @@ how it refuses."""
 
 import dataclasses
 import json
-import runpy
-import sys
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -26,6 +23,7 @@ from scenegen.model.bench.visibility import Case
 from scenegen.model.completion.protocol import Prediction, Returns
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from tests.conftest import dataset_in, small_recipe
+from tests.refusals import refuses
 
 CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
 ROWS = ["empty", "returns", "conservative", "extrude", "truth"]
@@ -90,12 +88,9 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset,
         assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
         assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
     assert truth.trials == from_file.trials
-    assert copied.thresholds.probability == pytest.approx(0.3), (
-        "free voxels have just that, and are not above it"
-    )
-    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, (
-        "0.6 is below the paper's threshold"
-    )
+    # free voxels have just that, and are not above it; 0.6 is below the paper's threshold
+    assert copied.thresholds.probability == pytest.approx(0.3)
+    assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0
     assert_array_equal(copied.values("iou", region=-1), 1)
 
 
@@ -137,9 +132,7 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path, capsys):
     assert "0.559 ± 0.058" in (tmp_path / "bench" / "report.md").read_text()  # the paper's
 
 
-def test_reliability_stands_beside_tables_that_it_does_not_change(
-    dataset, tmp_path, monkeypatch, undrawn
-):
+def test_reliability_stands_beside_tables_that_it_does_not_change(dataset, tmp_path, undrawn):
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
     report = report_of(dataset, tmp_path / "more", "--reliability", names=rows)
@@ -149,11 +142,6 @@ def test_reliability_stands_beside_tables_that_it_does_not_change(
     assert list(by_method) == list(rows)
     assert by_method["truth"]["map"]["said"]["ece"] == 0.0
     assert by_method["returns"]["map"]["said"]["ece"] > 0.0
-    pytest.importorskip("matplotlib")
-    script = Path(__file__).parents[3] / "docs" / "figures.py"
-    monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "more" / "report.json")])
-    runpy.run_path(str(script), run_name="__main__")
-    assert len(list((tmp_path / "more").glob("*.png"))) == 2
 
 
 def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset):
@@ -164,16 +152,6 @@ def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset):
     config = dataclasses.replace(config, plan=dataclasses.replace(plan, field="predicted"))
     own = bench(dataset, [Completed(Copied(dataset, 0.5))], config).methods["copied"]
     assert own.trials != found["truth"].trials
-
-
-def test_the_careful_planner_succeeds_on_the_truth_always(dataset):
-    """And it tells apart what the paper's planner holds equal: unlike probabilities of one map."""
-    plan = dataclasses.replace(CONFIG.plan, planner="careful")
-    config = dataclasses.replace(CONFIG, plan=plan, thresholds=Thresholds(probability=0.999))
-    found = bench(dataset, [Completed(Copied(dataset, 0.5)), Completed(Nothing()), Truth()], config)
-    success = {name: [one.success for one in rows.trials] for name, rows in found.methods.items()}
-    assert all(success["truth"])
-    assert sum(success["copied"]) > sum(success["nothing"])
 
 
 def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset):
@@ -236,8 +214,7 @@ def test_trials_with_a_free_line_and_hits_in_crossed_voxels_are_counted_apart(da
     assert "unmarked" not in planned["truth"]
     tested = [test["metric"] for test in report["tests"]["pillar"]]
     assert tested[-2:] == ["success_blocked", "success"]
-    counted = f"on {lines.sum()} an obstacle blocks the straight line to the goal, on"
-    assert f"400 planning trials: {counted} {400 - lines.sum()} it is free" in to_markdown(report)
+    assert f" {400 - lines.sum()} it is free" in to_markdown(report)
 
 
 class Plain(Nothing):
@@ -250,13 +227,10 @@ class Wild(Nothing):
         return Prediction(occupancy_probability=np.full(observed.shape, 1.5, np.float32))
 
 
-def test_methods_that_are_none_are_refused_in_one_line(dataset, tmp_path):
-    for method, said in (
-        ("Plain", "nothing: gives ndarray, expected a scenegen.*Prediction"),
-        ("Wild", "nothing: occupancy_probability holds 1.5"),
-    ):
-        with pytest.raises(ScenegenError, match=said):
-            report_of(dataset, tmp_path / "bench", names=(f"{__name__}:{method}",))
+@pytest.mark.parametrize("method", ["Plain", "Wild"])
+def test_methods_that_are_none_are_refused(dataset, tmp_path, method):
+    name = f"{__name__}:{method}"
+    refuses(method, report_of, dataset, tmp_path / "b", names=[name], error=ScenegenError)
 
 
 def test_one_world_gives_no_interval_and_an_empty_split_nothing(tmp_path, undrawn):
@@ -267,6 +241,4 @@ def test_one_world_gives_no_interval_and_an_empty_split_nothing(tmp_path, undraw
     assert (figure["low"], figure["high"], figure["n"]) == (None, None, 3)
     assert all(test["low"] is None for test in report["tests"]["pillar"])
     assert "nan" not in (tmp_path / "bench" / "report.md").read_text()
-    said = r"val split is empty; generate with --val .* or give another --split"
-    with pytest.raises(DatasetError, match=said):
-        bench(dataset, [Truth()], BenchConfig(split="val"))
+    refuses("empty", bench, dataset, [Truth()], BenchConfig(split="val"), error=DatasetError)

@@ -15,9 +15,9 @@ from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
-from tests.command_line import refused
 from tests.model.bench.test_bench import report_of
 from tests.model.conftest import saved_network
+from tests.refusals import refuses, refuses_command
 from tests.scenegen.base.backwards import Backwards
 
 TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
@@ -69,28 +69,22 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
     odd = tmp_path / "odd.safetensors"
     for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
         saved_network(odd, dataset.grid, about)
-        with pytest.raises(CheckpointError, match="no class weight above 0"):
-            calibrate(odd, [dataset], weights)
+        refuses(about, calibrate, odd, [dataset], weights, error=CheckpointError)
     saved_network(odd, dataset.grid, TRAINED, variant="tudf")
-    with pytest.raises(CheckpointError, match="predicts no probabilities"):
-        calibrate(odd, [dataset], weights)
+    refuses("tudf", calibrate, odd, [dataset], weights, error=CheckpointError)
     saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1, "temperature": 1.0}})
-    with pytest.raises(CheckpointError, match="its calibration is damaged"):
-        Completer.from_pretrained(odd)
-    with pytest.raises(DatasetError, match="one dataset is given twice"):
-        calibrate(weights, [dataset] * 2, tmp_path / "none.safetensors", split="test")
+    refuses("damaged", Completer.from_pretrained, odd, error=CheckpointError)
+    more = {"split": "test", "error": DatasetError}
+    refuses("twice", calibrate, weights, [dataset] * 2, tmp_path / "none.safetensors", **more)
     monkeypatch.setattr(module, "MIN_WORLDS", 20)
-    with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
-        calibrate(weights, [dataset], tmp_path / "none.safetensors", split="test")
+    refuses("few", calibrate, weights, [dataset], tmp_path / "none.safetensors", **more)
     assert not (tmp_path / "none.safetensors").exists()
 
 
-def test_the_command_s_bad_use_ends_in_one_line(dataset, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("name", ["net.onnx", "proposed"])
+def test_bad_use_of_the_command_leaves_nothing(dataset, tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "net.onnx").write_bytes(b"")
-    for name, told in (
-        ("net.onnx", "calibrate its .safetensors file, then export"),
-        ("proposed", "completes maps on"),
-    ):
-        assert told in refused(capsys, "calibrate", name, dataset.folder, "--workers", 1, "--quiet")
-    assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
+    (tmp_path / "d").symlink_to(dataset.folder)
+    refuses_command(capsys, f"calibrate {name} d --workers 1 --quiet")
+    assert {path.name for path in tmp_path.iterdir()} == {"net.onnx", "d"}

@@ -23,6 +23,7 @@ from scenegen.model.completion.protocol import Conservative, Empty, Extrude, Pre
 from scenegen.model.config import Thresholds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
+from tests.refusals import refuses
 
 GRID = GridSpec(shape=(7, 6, 5))
 DISTANCES, SHARES = (
@@ -70,20 +71,13 @@ def test_metrics_of_the_map_a_union_and_every_class_are_their_definitions(seed):
 
 
 def test_nothing_occupied_and_nothing_predicted_are_defined():
-    none, some = np.zeros((2, 2, 2), bool), np.ones((2, 2, 2), bool)
-    far = np.full((2, 2, 2), 2.0, np.float32)
-
-    def score(occupied, distance, truth):
-        field = distance_field(truth, GridSpec(shape=truth.shape))
-        whole = {"classes": np.zeros(truth.shape, np.uint8), "class_count": 1}
-        return dict(
-            zip(METRICS, measure(occupied, distance, truth, field, **whole)[0], strict=True)
-        )
-
-    assert [score(none, far, none)[name] for name in SHARES] == [1, 1, 1, 1]
-    assert [score(some, far, none)[name] for name in SHARES] == [0, 0, 0, 0]
-    assert [score(none, far, some)[name] for name in SHARES] == [0, 0, 0, 0]
-    assert np.isnan(score(none, far, none)["near_rmse"])
+    shape, whole = (2, 2, 2), {"classes": np.zeros((2, 2, 2), np.uint8), "class_count": 1}
+    none, some, far = np.zeros(shape, bool), np.ones(shape, bool), np.full(shape, 2.0, np.float32)
+    for occupied, truth, share in ((none, none, 1), (some, none, 0), (none, some, 0)):
+        field = distance_field(truth, GridSpec(shape=shape))
+        found = dict(zip(METRICS, measure(occupied, far, truth, field, **whole)[0], strict=True))
+        assert [found[name] for name in SHARES] == [share] * 4
+        assert np.isnan(found["near_rmse"]) == (not truth.any())
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
@@ -184,5 +178,4 @@ def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
     completion = Prediction(tudf=tudf)
     assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
     assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
-    with pytest.raises(ValueError, match="probability"):
-        Prediction()
+    refuses("neither", Prediction)

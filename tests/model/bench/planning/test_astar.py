@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from lidarsim import GridSpec
 from scenegen.model.bench.planner import Lattice, plan_path
 from scenegen.model.config import PlanConfig
+from tests.refusals import refuses
 
 GRID = GridSpec(shape=(24, 21, 14))
 
@@ -113,9 +114,7 @@ def test_paths_are_as_short_as_dijkstras(step, density, weight, edge_check):
 
 
 def test_a_goal_that_is_no_node_and_a_map_of_another_shape_are_refused():
-    free = np.zeros(GRID.shape, bool)
+    free, start = np.zeros(GRID.shape, bool), [2.5, 2.1, 1.5]
     for goal in ([2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]):
-        with pytest.raises(ValueError, match="goal"):
-            plan_path(free, goal, GRID, PlanConfig())
-    with pytest.raises(ValueError, match=r"occupied: shape \(23, 21, 14\)"):
-        plan_path(free[1:], [2.5, 2.1, 1.5], GRID, PlanConfig())
+        refuses(goal, plan_path, free, goal, GRID, PlanConfig())
+    refuses("shape", plan_path, free[1:], start, GRID, PlanConfig())
