@@ -30,7 +30,7 @@ from scenegen.base.errors import (
 )
 from scenegen.base.executors import Begun, Executor, Function, Results, undone_if_stopped
 from scenegen.base.limits import MOST_WORKERS
-from scenegen.base.ranks import rank_of as rank_of
+from scenegen.base.ranks import rank_of
 
 PR_SET_PDEATHSIG = 1
 """Option of Linux's `prctl`: the signal that this process gets when its parent ends."""

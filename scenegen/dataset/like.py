@@ -27,16 +27,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw.draw import (
-    FLIGHT,
-    Unit,
-    UnitKey,
-    none_rejected,
-    samples_of,
-    scans_from,
-    truth_of,
-)
+from scenegen.draw.draw import samples_of, scans_from, truth_of
 from scenegen.draw.source import DrawnWorlds, Source
+from scenegen.draw.unit import FLIGHT, Unit, UnitKey, none_rejected
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld

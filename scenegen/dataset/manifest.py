@@ -28,9 +28,7 @@ from scenegen.base.files import write_whole
 from scenegen.base.limits import MOST_MANIFEST_BYTES
 from scenegen.base.reading import sha256_of
 from scenegen.base.stores import ConflictError, Place, Store, read_at
-from scenegen.dataset.contract import Manifest as Manifest
-from scenegen.dataset.contract import groups_of as groups_of
-from scenegen.dataset.contract import schema_of as schema_of
+from scenegen.dataset.contract import Manifest
 from scenegen.dataset.schema import (
     FORMAT,
     NAME,

@@ -26,7 +26,8 @@ from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.piece import Piece, advised
 from scenegen.dataset.schema import ShardEntry
-from scenegen.draw.sample import Sample, Samples, Schema, html_table
+from scenegen.draw.html import html_table
+from scenegen.draw.sample import Sample, Samples, Schema
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Sensing
 

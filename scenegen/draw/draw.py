@@ -18,13 +18,7 @@ from scenegen.base.errors import GenerationError, RecipeError, raised_as
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
-from scenegen.draw.unit import FLIGHT as FLIGHT
-from scenegen.draw.unit import NOISE as NOISE
-from scenegen.draw.unit import WORLD as WORLD
-from scenegen.draw.unit import Rejections as Rejections
-from scenegen.draw.unit import Unit as Unit
-from scenegen.draw.unit import UnitKey as UnitKey
-from scenegen.draw.unit import none_rejected as none_rejected
+from scenegen.draw.unit import FLIGHT, NOISE, WORLD, Rejections, Unit, UnitKey, none_rejected
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Route, fly, viewpoints
 from scenegen.worlds.place import Place

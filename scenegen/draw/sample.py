@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
 from scenegen.base.errors import DatasetError, lacking, short
-from scenegen.draw.html import html_table as html_table
+from scenegen.draw.html import html_table
 
 if TYPE_CHECKING:
     from scenegen.draw.tensors import TensorSamples

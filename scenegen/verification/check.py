@@ -17,14 +17,14 @@ from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
 from lidarsim.solids import Solids
-from scenegen.base.errors import SceneError, raised_as
+from scenegen.base.errors import BrokenError, SceneError, raised_as
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.sample import rng_of
 from scenegen.verification.rays import MapAuditor
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import AnyWorld, archived_world

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.base.errors import DatasetError, printable, raised_as, short
+from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
 from scenegen.base.files import names_in
 from scenegen.base.reading import sha256_in, world_digest
 from scenegen.dataset import manifest
@@ -15,7 +15,7 @@ from scenegen.dataset.archive import referred
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, ShardEntry, stem_of
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
-from scenegen.verification.report import BrokenError, Ledger, Page
+from scenegen.verification.report import Ledger, Page
 from scenegen.worlds.kinds import find_kind
 
 

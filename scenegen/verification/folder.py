@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from scenegen.base.errors import DatasetError, raised_as, told
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, told
 from scenegen.base.executors import Begun, Counted, Executor, unheard
 from scenegen.base.mirrors import fetch
 from scenegen.base.reading import size_of
@@ -34,7 +34,7 @@ from scenegen.verification.check import (
 from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.report import BrokenError, Ledger, Outcome, Report
+from scenegen.verification.report import Ledger, Outcome, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
 from scenegen.verification.splits import MOST_TWINS, world_digests
 from scenegen.verification.stored import CHECKS as STORED

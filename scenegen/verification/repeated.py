@@ -11,17 +11,18 @@ from lidarsim import Scan
 from lidarsim.engines import ENGINES
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
-from scenegen.base.errors import GenerationError, RecipeError, SceneError, raised_as
+from scenegen.base.errors import BrokenError, GenerationError, RecipeError, SceneError, raised_as
 from scenegen.base.executors import software
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
-from scenegen.draw.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
+from scenegen.draw.draw import draw_unit, scans_from, with_noise
 from scenegen.draw.sample import FIELDS, rng_of
 from scenegen.draw.source import DrawnWorlds, SceneWorlds
+from scenegen.draw.unit import Unit, UnitKey
 from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.verification.rays import audit, disagrees
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld

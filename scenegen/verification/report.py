@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from scenegen.base.errors import BrokenError as BrokenError
-from scenegen.base.errors import plural
+from scenegen.base.errors import BrokenError, plural
 from scenegen.base.files import Json
 
 MAX_LINES = 3

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
-from scenegen.base.errors import GuardError, raised_as
+from scenegen.base.errors import BrokenError, GuardError, raised_as
 from scenegen.base.limits import GUARD_BYTES, GUARD_S
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import Layout, ShardFile, open_shard
 from scenegen.dataset.manifest import Manifest
 from scenegen.verification.check import Check, Sample, Worlds
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
 
