@@ -20,8 +20,8 @@ from scenegen.base.paths import check_type, type_of
 from scenegen.base.stores import Place
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
+from scenegen.dataset.contract import Manifest
 from scenegen.dataset.locate import locate
-from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, to_json

@@ -22,8 +22,8 @@ from scenegen import SPLITS
 from scenegen.base.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
+from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
-from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.piece import Piece, advised
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.html import html_table
