@@ -349,14 +349,20 @@ def to_markdown(study: Json) -> str:
         f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
         f"scale {settings['scale']:g}. Each saw {settings['maps'] * settings['scale']:.0f} maps at "
         f"most. Training took {hours:.1f} hours on {devices}. [study.json](study.json) has all "
-        "figures: means of every run with intervals, each pair of seeds, and comparisons that "
-        "the paper does not make.",
+        "figures: p-values, means of every run with intervals, each pair of seeds, and "
+        "comparisons that the paper does not make. Below are differences with 95 % intervals.",
     ]
     if study["missing"]:
         names = ", ".join(f"`{name}`" for name in study["missing"])
         blocks.append(f"**Not trained**: {names}. Claims without networks are left out below.")
-    for kind in study["worlds"]:
-        blocks += _of_kind(study, kind)
+    for kind, worlds in study["worlds"].items():
+        if few := caution(worlds):
+            blocks.append(f"**{kind}: {few}.**")
+    for title, claims in (
+        ("## The paper's claims", study["claims"]),
+        ("## Claims about paths, over trials where both methods have a path", study["paths"]),
+    ):
+        blocks += [title, _by_kind(claims, list(study["worlds"]))]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -364,23 +370,18 @@ def _counts(verdicts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
 
 
-def _of_kind(study: Json, kind: str) -> list[str]:
-    blocks = [f"## {kind}"]
-    if few := caution(study["worlds"][kind]):
-        blocks.append(f"**{few}.**")
-    for title, claims in (
-        ("The paper's claims:", study["claims"]),
-        ("Claims about paths, over trials where both methods have a path:", study["paths"]),
-    ):
-        tried = [claim for claim in claims if claim["kind"] == kind and claim["pairs"]]
-        heads = ("verdict", "p (Holm)", "difference [95 % interval]")
-        blocks += [title, markdown(heads, map(_judged, tried))]
-    return blocks
+def _by_kind(claims: Sequence[Json], kinds: Sequence[str]) -> str:
+    """A row for each claim and a column for each kind of worlds, where it is one."""
+    rows: dict[str, dict[str, str]] = {}
+    for claim in claims:
+        if claim["pairs"]:
+            name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
+            rows.setdefault(name, {})[claim["kind"]] = _judged(claim)
+    cells = ((name, [found.get(kind, "") for kind in kinds]) for name, found in rows.items())
+    return markdown(kinds, cells)
 
 
-def _judged(claim: Json) -> tuple[str, Sequence[str]]:
-    """A claim's row."""
-    name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
-    chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
+def _judged(claim: Json) -> str:
+    """The verdict of a claim, and the difference behind it."""
     value = "–" if claim["difference"] is None else f"{claim['difference']:+.3f}"
-    return name, (claim["verdict"], chance, f"{value} {interval(claim, '+.3f')}")
+    return f"{claim['verdict']}: {value} {interval(claim, '+.3f')}"
