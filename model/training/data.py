@@ -55,7 +55,7 @@ class Samples(Protocol):
     """What tells these samples from all others: a run with another digest is another run."""
 
     # where samples have a `weight` that is not None, as those of `opened` may, they come in
-    # proportion to it
+    # proportion to it; where they have `parts`, targets find their channels there, see `parts_of`
 
     def __len__(self) -> int: ...
 

@@ -15,6 +15,7 @@ from scenegen.base.errors import ScenegenError
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.stored import prediction_facts
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.inputs import turned
@@ -104,6 +105,19 @@ def test_classes_turn_with_the_map(here):
 def test_a_run_goes_on_where_it_was(here):
     rows = train(["data/street"], config_of(), here / "run")
     assert train(["data/street"], config_of(), here / "run") == rows
+
+
+def test_files_that_name_other_arrays_are_refused(here):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    dataset = scenegen.load("data/street", "test").dataset
+    predict_split(Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", here / "p")
+    Predicted(here / "p").check(dataset, "test")
+    for others in ("world", "classes,classes", "a b", "absent", "tudf", "x/y"):
+        with h5py.File(here / "p" / "test-00000.h5", "a") as file:
+            file.attrs["others"] = others
+            file.attrs.pop("digest", None)
+        with pytest.raises(ScenegenError, match=r"names targets|expected .*absent"):
+            Predicted(here / "p").check(dataset, "test")
 
 
 def test_a_file_has_no_target_imported_by_itself(here, capsys):
