@@ -69,7 +69,8 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
         DatasetError: if it is not regular, too large, or cannot be read.
     """
     with open_bounded(path, max_bytes) as file:
-        content = file.read(max_bytes + 1)
+        # `read` allocates all that it may return, so it gets no larger number than necessary
+        content = file.read(min(max_bytes, size_of(file)) + 1)
     if len(content) > max_bytes:
         raise DatasetError(f"{path}: more than {max_bytes} bytes; give a smaller file")
     return content
