@@ -64,6 +64,7 @@ class Collection(AnyDataset):
             else None
             for n in range(len(self.datasets))
         ]
+        # the choice belongs to the identity: other samples of the same datasets are other data
         parts = [dataset.digest for dataset in self.datasets]
         return sha256_of(repr((parts, chosen)).encode())
 

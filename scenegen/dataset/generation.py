@@ -243,6 +243,7 @@ def plan_generation(
             {"train": number, "val": val, "test": test},
             seed=seed,
             allow_unseen=allow_unseen,
+            # labels by class or material need the names of materials
             materials=parts.get("labels") in ("class", "material"),
         )
         for line in source.notes:

@@ -119,6 +119,7 @@ def sensor_entry(sensor: Sensor) -> Json:
     if isinstance(sensor, Lidar):
         entry: Json = msgspec.json.decode(msgspec.json.encode(asdict(sensor)))
         return entry
+    # every sensor but a raster is stored as a table of its rays
     table = BeamTable.of(sensor)
     return {
         "sensor": "table",

@@ -140,6 +140,7 @@ class ShardSpec(Units):
                     rejected[subject].update(counts)
                 # units may share a world, and worlds may share files
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
+                # the last flight of a split may have more samples than are needed
                 for sample in unit.samples[: max(remaining, 0)]:
                     yield partial(getattr, sample), sample.sha256()
                 remaining -= len(unit.samples)
@@ -208,6 +209,7 @@ def put(
         file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
+        # the image is complete only after a flush
         file.flush()
         content = file.id.get_file_image()
     # the archive first: the file of samples marks the shard as complete

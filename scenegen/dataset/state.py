@@ -240,6 +240,7 @@ class State:
             self._listed = self._listed or {}
         if isinstance(folder, Path):
             with disk_told(folder):
+                # made once here, and not by every worker
                 for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
                     (folder / part).mkdir(exist_ok=True)
 

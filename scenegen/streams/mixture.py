@@ -200,6 +200,7 @@ class Component(Units):
             raise DatasetError(
                 f"stream: has no split {short(self.split)}; expected one of {', '.join(SPLITS)}"
             )
+        # a missing engine fails here, and not in a worker
         find_engine(self.engine)
         if isinstance(self.source, SceneWorlds) and not self.source.scenes[self.split]:
             raise SceneError(
@@ -290,6 +291,7 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
                 "add worlds, or give one file, which is all for train"
             )
     else:
+        # a single world can serve one split only
         counts |= {"val": 0, "test": 0}
     return read_scenes(path, counts, seed=seed)
 

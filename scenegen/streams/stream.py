@@ -76,6 +76,7 @@ class Stream(Samples):
         ]
         self.digest = sha256_of(json.dumps(parts, sort_keys=True).encode())
         """Identifies the samples and their order."""
+        # grid and known space are the same for all components, see `Mixture`
         first = mixture.components[0].recipe
         self.grid, self.lidar, self.known = first.grid, first.lidar, first.known
         self.settings = tuple(

@@ -115,6 +115,7 @@ def auditor(world: AnyWorld, made_with: str) -> Caster:
     """
     if isinstance(world, Place):
         return MapAuditor(world.voxels)
+    # an engine cannot confirm its own results
     return world.caster(AnalyticEngine.of if made_with == MUJOCO else MujocoEngine)
 
 
@@ -152,6 +153,7 @@ class Worlds:
             documents = {
                 int(name[:-4]): assets.pop(name) for name in [*assets] if name.endswith(".xml")
             }
+            # screened before anything compiles them, as MuJoCo may crash on hostile documents
             outlines = {
                 number: screen(document, assets, f"{number:06d}.xml")
                 for number, document in documents.items()

@@ -45,6 +45,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
                         f"--kind {kind}: the dataset's kind is {short(parsed.kind)}; leave "
                         "--kind out, or give that"
                     )
+                # imports the module, which the user named
                 with raised_as(DatasetError, "--kind: "):
                     find_kind(kind)
             # computed now, so that faults in its tables are recorded here
@@ -113,6 +114,7 @@ def _check_size(contract: Manifest, entry: ShardEntry, is_last: bool, page: Page
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:
+    # for `_rejections_add_up`
     page.kept.append(shard.rejected)
     page.expect(
         shard.file.attributes["parameters"] == shard.task.contract.fingerprint,
@@ -166,6 +168,7 @@ LAYOUT = Check(name="layout", quick=True)
 
 def _worlds_from_files(worlds: Worlds, page: Page) -> None:
     entry, scenes = worlds.task.entry, worlds.task.contract.scenes
+    # drawn worlds have no digests in the manifest; the check `regenerated` draws some again
     if scenes is None:
         return
     listed = scenes[entry.split]

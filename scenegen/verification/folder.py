@@ -139,6 +139,7 @@ def examine(task: Task) -> Findings:
             # a sample that cannot be unpacked does not end the walk
             with ledger.checking(LAYOUT.name) as page:
                 page.count(samples=1)
+                # read-only unless expensive checks call kernels, which take writable arrays
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
                 _make_checks(
                     "sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes())
@@ -256,6 +257,7 @@ class _Walk:
             on_start: Called when the workers have started.
             on_done: Called with the number of samples of each examined shard.
         """
+        # nothing else can be examined
         if self.contract is None:
             self.outcomes.append(self.ledger[MANIFEST.name].outcome(MANIFEST.name))
             return
@@ -310,6 +312,7 @@ def _together(walks: Sequence[_Walk]) -> Outcome:
             digests = b"".join(walk.ledger["digest"].kept)
             page.count(samples=len(digests) // 32, shards=len(walk.contract.shards))
             for n in range(0, len(digests), 32):
+                # prefixed, as worlds and samples share one table
                 key = b"sample" + digests[n : n + 32]
                 first_owner = owner.setdefault(key, walk.folder.name)
                 page.expect(
@@ -334,6 +337,7 @@ def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) ->
     """Tasks of all shards. The list of shards is left out of their manifests: pickling it with each
     task would take quadratic time."""
     bare = msgspec.structs.replace(contract, shards=())
+    # rounded up, so that no more than MOST_TWINS are compared
     twins_of = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
     return [
         Task(

@@ -90,9 +90,11 @@ class MapAuditor:
         begin = (start - self._voxels.origin) / voxel_m
         reach, fraction = math.ceil(max_range_m / voxel_m) + 2, begin % 1
         ranges = np.full(len(rays), np.inf)
+        # bounds the memory of a batch
         batch = max(MAX_CROSSINGS // reach, 1)
         for first in range(0, len(rays), batch):
             batch_rays = rays[first : first + batch] / voxel_m  # voxels a metre
+            # the first plane ahead depends on the ray's sign along the axis; then one plane a voxel
             planes = np.where(batch_rays > 0, -fraction, fraction - 1)[..., None] + np.arange(reach)
             with np.errstate(divide="ignore", invalid="ignore"):
                 crossings = (planes / np.abs(batch_rays)[..., None]).reshape(len(batch_rays), -1)
@@ -104,6 +106,7 @@ class MapAuditor:
             )
             cells = np.floor(begin + middle[..., None] * batch_rays[:, None]).astype(np.int64)
             hits: Any = ((cells >= 0) & (cells < states.shape)).all(axis=2)
+            # space outside the map is free
             hits[hits] = states[tuple(cells[hits].T)] == OCCUPIED
             # a shorter chord only touches a voxel's edge, which the engine ignores, too
             hits &= (chords >= LEAST_CHORD_M) & (middle <= max_range_m)

@@ -118,6 +118,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         if why := why_not_scanned(sample.contract):
             page.skipped = f"the noise cannot be made again, {why}"
             return
+        # noise hides the clean ranges: make them again, and audit these
         scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):

@@ -151,6 +151,7 @@ class Page:
             name=check,
             ok=not self.faults,
             detail=self.detail(),
+            # a fault outweighs a reason to skip
             skipped=bool(self.skipped) and not self.faults and not self.differing,
             faults=self.faults,
             seconds=self.seconds,

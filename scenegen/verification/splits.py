@@ -129,6 +129,7 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
         page.count(worlds=1)
         try:
             if worlds.task.quick:
+                # quick checks compile no world
                 digests.append(worlds.outlines[number])
             elif isinstance(solids := worlds.compile(number), VoxelMap):
                 digests.append(map_digest(solids))
@@ -168,6 +169,7 @@ def _in_one_split(contract: Manifest, page: Page) -> None:
     )
     splits = [entry.split for entry in contract.shards]
     order = np.argsort(digests, kind="stable")  # equal digests stay in the order of shards
+    # equal digests are neighbours in this order
     for n in np.flatnonzero(digests[order[1:]] == digests[order[:-1]]):
         first, second = order[n : n + 2]
         split, first_split = splits[shards[second]], splits[shards[first]]

@@ -123,8 +123,10 @@ def _lawful(sample: Sample, page: Page) -> None:
         page.expect(not unknown, f"{sample.where}: {unknown} voxels are occupied and not known")
     noise = sample.contract.noise
     if noise is None:
+        # without noise, every return lies on a solid
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
         page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
+    # unbounded noise may put returns anywhere
     elif noise.bound_m is not None:
         fields, grid, bound = sample.fields, sample.contract.grid, noise.bound_m
         points = np.concatenate([scan.points() for scan in sample.scans])
@@ -184,6 +186,7 @@ def _occupancy(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     solids, grid, origin = sample.solids, sample.contract.grid, sample.fields["origin"]
+    # a world of solids is known everywhere
     known = np.ones(grid.shape, bool)
     if isinstance(solids, VoxelMap):
         again, known = resample(solids, grid, origin)

@@ -58,6 +58,7 @@ def _flown(sample: Sample, page: Page) -> None:
     contract, position = sample.contract, sample.fields["position"]
     _keep(sample, page, np.array((sample.shard.first_place + sample.row, position), PLACE))
     recipe, spacing_m = contract.recipe, contract.mapping.scan_spacing_m
+    # the recipe has no bounds of worlds from files
     if recipe.world is not None:
         low, high = recipe.flight.bounds(recipe.world.size_m)
         page.expect(
@@ -80,6 +81,7 @@ def _far_apart(contract: Manifest, page: Page) -> None:
     flight = contract.recipe.flight
     splits = np.array([SPLITS.index(entry.split) for entry in contract.shards], np.int64)[shards]
     units, spacing_m = records["place"] // flight.viewpoints, flight.spacing_m
+    # by split, then by position in it
     order = np.lexsort((records["place"], splits))
     # samples of one flight are neighbours in this order: compare with the next one, the next but
     # one, and so on, until no two are of the same flight
