@@ -122,7 +122,7 @@ def examine(request: Request) -> Dataset:
     check_out(request.dataset, request.out)
     if (files := len(dataset.manifest.files)) > MOST_FILES:
         raise PublishError(
-            f"{request.dataset}: has {files} files, and at most {MOST_FILES} can be published; "
+            f"{request.dataset}: has {files} files, more than the {MOST_FILES} that publish takes; "
             "generate it again with a larger --shard-samples, which changes no sample"
         )
     described = dataset.manifest

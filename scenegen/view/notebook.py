@@ -142,7 +142,7 @@ def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
         predictions = {"truth": look.masks["occupancy"]}
     if clashing := predictions.keys() & look.masks.keys():  # a page has one layer a name
         raise DatasetError(
-            f"prediction: {', '.join(clashing)}: is a layer of the sample; give another name"
+            f"prediction: {', '.join(clashing)}: a sample's own layer; give another name"
         )
     guesses = [_guess(name, predicted, look.grid) for name, predicted in predictions.items()]
     if path is not None:
