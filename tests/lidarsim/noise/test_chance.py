@@ -43,8 +43,6 @@ def test_numbers_do_not_depend_on_each_other(drawn, apart):
         assert stats.pearsonr(change(one), change(other)).pvalue > LEVEL
 
 
-
-
 def test_directions_are_even_around_the_circle():
     cosine, sine = on_circle((200_000, 1), rng=np.random.default_rng(2))
     assert cosine.shape == sine.shape == (200_000, 1)
