@@ -22,11 +22,9 @@ BASE = [str(ROOT)]
 def check_wording(case, line):
     """Hold the line of a refusal to the law, and to its wording in the file."""
     assert line.isprintable(), f"not one printable line: {line!r}"
-    for folder in sorted(BASE, key=len, reverse=True):
-        line = re.sub(rf"{re.escape(folder)}(/popen-gw\d+)?", "~", line)
-    line = re.sub(r"~/test_\w+?\d+\b", "~", line)
     test = os.environ["PYTEST_CURRENT_TEST"].partition("[")[0].split(" ")[0]
-    name = f"{test.removeprefix('tests/')} {' '.join(str(case).split())}"
+    name = _anywhere(f"{test.removeprefix('tests/')} {' '.join(str(case).split())}")
+    line = _anywhere(line)
     with FILE.open("a+", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         file.seek(0)
@@ -36,6 +34,12 @@ def check_wording(case, line):
             file.truncate(0)
             file.write("".join(f"{name} → {said[name]}\n" for name in sorted(said)))
     assert _fits(said.get(name), line), f"{name} → {line}\nexpected {said.get(name)}"
+
+
+def _anywhere(text):
+    for folder in sorted(BASE, key=len, reverse=True):
+        text = re.sub(rf"{re.escape(folder)}(/popen-gw\d+)?", "~", text)
+    return re.sub(r"~/test_\w+?\d+\b", "~", text)
 
 
 def _fits(expected, line):

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import AnalyticEngine
+from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.solids import solids_of
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import model_of
@@ -47,3 +48,11 @@ def test_rays_meet_the_nearest_of_all(kind, count):
         first = np.where(near > 0, near, np.where(far > 0, far, np.inf)).min(axis=1)
         found = engine.cast(np.zeros((1, 3)), rays[None], np.inf)[0]
         assert_allclose(found, first, rtol=1e-9, atol=1e-4)
+
+
+def test_neighbours_share_leaves(rng):
+    """The tree of two heaps far apart is cut between them."""
+    lower = np.concatenate([rng.uniform(0, 1, (8, 3)), rng.uniform(100, 101, (8, 3))])
+    tree = Hierarchy.over(lower, lower + 0.1)
+    for link, end in zip(tree.links.ravel(), tree.ends.ravel(), strict=True):
+        assert len(set((tree.order[int(link) : int(end)] // 8).tolist())) <= 1

@@ -43,15 +43,6 @@ def test_numbers_do_not_depend_on_each_other(drawn, apart):
         assert stats.pearsonr(change(one), change(other)).pvalue > LEVEL
 
 
-def test_numbers_do_not_depend_on_those_of_other_stages(drawn):
-    """`rng.spawn`, as a chain has it; and what a stage draws before from its own stream."""
-    one, other = np.random.default_rng(1).spawn(2)
-    even = one.random(COUNT)
-    for numbers in (normal((COUNT,), rng=one), normal((COUNT,), rng=other)):
-        for change in (np.asarray, np.square):
-            assert stats.pearsonr(even, change(numbers)).pvalue > LEVEL
-
-
 def test_directions_are_even_around_the_circle():
     cosine, sine = on_circle((200_000, 1), rng=np.random.default_rng(2))
     assert cosine.shape == sine.shape == (200_000, 1)

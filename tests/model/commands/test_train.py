@@ -2,28 +2,19 @@
 
 import csv
 import json
-import os
-import signal
-import sys
-import time
 
 import h5py
 import numpy as np
 import pytest
-import torch
 
 from lidarsim.grid import iou
-from scenegen import __main__ as cli
-from scenegen.cli import stops
 from scenegen.dataset.read import Dataset
-from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig
 from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, refused, rows, run
 from tests.model.commands.test_bench import here
-from tests.model.training.runs import elsewhere
 from tests.refusals import refuses_command
 
 assert here  # the fixture
@@ -158,37 +149,3 @@ def test_without_an_extra_it_says_what_to_install(tmp_path, shell, made):
         assert not ended.out
         assert "Traceback" not in ended.err
         assert f"pip install -e '.[{extra}]'" in ended.err
-
-
-def train_until_stopped(error):
-    """The command line, which answers signals as the installed script does, in a process and a
-    group of its own."""
-    os.setsid()
-    sys.stderr = error.open("w")
-    torch.set_num_threads(1)
-    words = "scenegen train --epochs 1000 --patience 3 --workers 1"
-    sys.argv = [*words.split(), *map(str, QUICK)]
-    stops.answer()
-    cli.main()
-
-
-def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
-    running = elsewhere(train_until_stopped, here / "error.txt")
-    while not (here / "runs" / "proposed" / "metrics.csv").exists():
-        assert running.is_alive()
-        time.sleep(0.1)
-    os.killpg(running.pid, signal.SIGTERM)  # as timeout(1) and Slurm do: loaders get it, too
-    running.join()
-    assert running.exitcode == 130
-    error = (here / "error.txt").read_text()
-    assert "the same command goes on with runs/proposed" in error
-    ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
-    assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
-    begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
-    fixed = dict.fromkeys(METRICS, 0.0) | {"loss": 1e9}  # patience runs out
-    monkeypatch.setattr("scenegen.model.training.loop.validate", lambda *given: fixed)
-    words = ("train", "--epochs", 1000, "--patience", 3, *QUICK)
-    ended, said, _ = run(capsys, *words)
-    assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
-    ended, said, _ = run(capsys, *words, "--json")
-    assert (ended, json.loads(said)["folder"]) == (0, "runs/proposed")  # it is complete already
