@@ -29,7 +29,6 @@ from scenegen.dataset.piece import Rows as Rows
 from scenegen.dataset.piece import advised as advised
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.sample import Sample, Samples, Schema, html_table
-from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Sensing
 
 if TYPE_CHECKING:  # worlds import MuJoCo
@@ -332,6 +331,9 @@ class Split(Samples):
                 # worlds of a collection are numbered across its datasets
                 return value + piece.first_world if name == "world" else value
             if name == "tudf":
+                # imports MuJoCo, which reading stored fields does not need
+                from scenegen.truth import distance_field
+
                 return distance_field(sample.occupancy, manifest.grid)
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
                 # oldest first, as when the sample was made
