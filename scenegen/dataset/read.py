@@ -26,9 +26,14 @@ from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.piece import Piece, advised
 from scenegen.dataset.schema import ShardEntry
+<<<<<<< HEAD
 from scenegen.draw.html import html_table
 from scenegen.draw.sample import Sample, Samples, Schema
 from scenegen.truth import distance_field
+=======
+from scenegen.draw.html import html_table
+from scenegen.draw.sample import Sample, Samples, Schema
+>>>>>>> words2
 from scenegen.worlds.mapping import Sensing
 
 if TYPE_CHECKING:  # worlds import MuJoCo
@@ -331,6 +336,9 @@ class Split(Samples):
                 # worlds of a collection are numbered across its datasets
                 return value + piece.first_world if name == "world" else value
             if name == "tudf":
+                # imports MuJoCo, which reading stored fields does not need
+                from scenegen.truth import distance_field
+
                 return distance_field(sample.occupancy, manifest.grid)
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
                 # oldest first, as when the sample was made

@@ -106,25 +106,25 @@ class Ahead:
 
     def __init__(self, make: Callable[[Slot], Unit], workers: int):
         self._make, self._died = make, 0
-        self._requested = {Worker(make): deque[Slot]() for _ in range(workers)}
-        self._finished: dict[Slot, tuple[bool, Any]] = {}
+        self._given = {Worker(make): deque[Slot]() for _ in range(workers)}
+        self._done: dict[Slot, tuple[bool, Any]] = {}
         # unlike a `__del__`, it runs at exit before the modules that it needs are gone
-        self.close = weakref.finalize(self, _end, self._requested, os.getpid())
+        self.close = weakref.finalize(self, _end, self._given, os.getpid())
         """End the processes, whatever they are doing."""
 
     @property
     def under_way(self) -> int:
         """Number of units that were requested, and not taken yet."""
-        return len(self._finished) + sum(map(len, self._requested.values()))
+        return len(self._done) + sum(map(len, self._given.values()))
 
     def __contains__(self, slot: object) -> bool:
-        return slot in self._finished or any(slot in queue for queue in self._requested.values())
+        return slot in self._done or any(slot in queue for queue in self._given.values())
 
     def give(self, slot: Slot) -> None:
         """Request a unit, unless it is under way."""
         if slot not in self:
             # the worker with the shortest queue
-            worker, queue = min(self._requested.items(), key=lambda item: len(item[1]))
+            worker, queue = min(self._given.items(), key=lambda item: len(item[1]))
             queue.append(slot)
             with contextlib.suppress(OSError):  # it died, which `collect` notices
                 worker.pipe.send(slot)
@@ -137,16 +137,16 @@ class Ahead:
         """
         self.give(slot)
         self.collect()
-        while slot not in self._finished:
+        while slot not in self._done:
             self.collect(wait=True)
-        succeeded, value = self._finished.pop(slot)
+        succeeded, value = self._done.pop(slot)
         if not succeeded:
             raise value
         return value
 
     def collect(self, *, wait: bool = False) -> None:
         """Receive finished units; with `wait`, at least one answer."""
-        workers = {worker.pipe: worker for worker in self._requested}
+        workers = {worker.pipe: worker for worker in self._given}
         for pipe in multiprocessing.connection.wait(workers, None if wait else 0):
             worker = workers[pipe]
             try:
@@ -154,7 +154,7 @@ class Ahead:
             except (EOFError, OSError):
                 self._replace(worker)
                 continue
-            self._finished[self._requested[worker].popleft()] = answer
+            self._done[self._given[worker].popleft()] = answer
 
     def _replace(self, worker: Worker) -> None:
         """Replace a worker that died."""
@@ -162,11 +162,11 @@ class Ahead:
         if self._died > MOST_REPLACED:
             raise GenerationError(
                 f"stream: worker processes were killed {self._died} times (out of memory?); give "
-                f"fewer than {len(self._requested)}"
+                f"fewer than {len(self._given)}"
             )
         worker.end()
-        queue, replacement = self._requested.pop(worker), Worker(self._make)
-        self._requested[replacement] = queue
+        queue, replacement = self._given.pop(worker), Worker(self._make)
+        self._given[replacement] = queue
         for slot in queue:
             # drawing is deterministic: the units come out the same
             replacement.pipe.send(slot)
