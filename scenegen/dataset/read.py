@@ -26,14 +26,8 @@ from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.piece import Piece, advised
 from scenegen.dataset.schema import ShardEntry
-<<<<<<< HEAD
 from scenegen.draw.html import html_table
 from scenegen.draw.sample import Sample, Samples, Schema
-from scenegen.truth import distance_field
-=======
-from scenegen.draw.html import html_table
-from scenegen.draw.sample import Sample, Samples, Schema
->>>>>>> words2
 from scenegen.worlds.mapping import Sensing
 
 if TYPE_CHECKING:  # worlds import MuJoCo
