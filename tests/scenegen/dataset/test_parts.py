@@ -70,6 +70,13 @@ def test_with_noise_parts_are_of_what_the_clean_ray_met(tmp_path):
     assert not (has_normal & ~np.isfinite(sample.ranges)).any()
 
 
+def test_normals_look_back_at_the_sensor():
+    sample = drawn_unit(with_parts("normals"), seed=1).samples[0]
+    rays, normals = sample.points() - sample.position, sample.return_normal
+    assert len(rays) > 20
+    assert ((normals[np.isfinite(sample.ranges)] * rays).sum(axis=1) < 0).all()
+
+
 def flipped(arrays):
     arrays["return_normal"][1] *= -1
 

@@ -1,6 +1,7 @@
 """Frames of recordings: one tree, or a refusal that names both parents."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -107,6 +108,17 @@ def test_a_single_row_may_leave_out_its_length(tmp_path):
     bag.messages[0] = (*where, dataclasses.replace(cloud, point_step=0))
     odd = bag.write(tmp_path / "odd")
     refuses("expected points of 12 or more", lambda: list(read_log(odd).scans()))
+
+
+def test_a_pose_is_the_chain_of_its_frames_between_their_times(tmp_path):
+    bag, _ = drive()
+    bag.transform(BEGIN_S, "lidar", "base", (1, 0, 0), (0, 0, 0.707, 0.707), topic="/tf_static")
+    for n, yaw in ((0, 0.0), (6, 1.2)):
+        turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
+        bag.transform(BEGIN_S + n * PERIOD_S, "base", "odom", (n, 0, 0), turn)
+    pose, half = read_log(bag.write(tmp_path / "bag")).poses[3], 0.3 + math.pi / 4
+    assert pose.position == pytest.approx([3 + math.cos(0.6), math.sin(0.6), 0])
+    assert pose.quaternion == pytest.approx([math.cos(half), 0, 0, math.sin(half)])
 
 
 def test_scans_after_the_last_pose_have_none(tmp_path):
