@@ -115,7 +115,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
         ).oid  # a parent: the Hub refuses if another publisher's commit came in between
     if wrong := differences(api, staged, head):
         raise PublishError(
-            f"{target}: not all files arrived ({wrong[0]}); give the same command again to go on"
+            f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
         )
     api.create_tag(**where, tag=staged.tag, revision=head)
     return str(head)
@@ -159,7 +159,7 @@ def _explain(staged: Staged, error: Exception) -> str:
             f"{target}: the Hub refuses the token ({status}); use one that may write there: "
             "`hf auth login`"
         )
-    return f"{target}: {reason(error)}; give the same command again: it sends only what is missing"
+    return f"{target}: {reason(error)}; the same command goes on, and sends only missing files"
 
 
 def publish(
