@@ -115,8 +115,9 @@ class Choice(click.Choice[str]):
 
 
 class DatasetPath(Written, click.Path):
-    """A dataset: its folder, a folder of several, the file of a selection, hf://user/name[@revision],
-    or s3://bucket/folder. Parsing does not download; the command does."""
+    """A dataset: its folder, a folder of several, the file of a selection,
+    hf://user/name[@revision], or s3://bucket/folder. Parsing does not download; the command
+    does."""
 
     def __init__(self) -> None:
         click.Path.__init__(self)
