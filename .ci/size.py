@@ -14,10 +14,11 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_250, "benchmarks": 33_000, "tests": 252_000}
-FILES = 242
+TOKENS = {"product": 288_500, "benchmarks": 33_000, "tests": 223_000}
+FILES = 226
 LINES = 400
-"""The longest file of product code."""
+"""Lines of the longest file of product code, without docstrings, comments and blank lines: what
+explains code costs nothing."""
 WIDTH = 100
 UNCOUNTED = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
@@ -25,20 +26,31 @@ UNCOUNTED = {
 }
 
 
-def tokens(text: str) -> int:
-    """How many tokens a module has, docstrings aside."""
+def counted(text: str) -> list[tokenize.TokenInfo]:
+    """The tokens of a module that count: no comments and docstrings."""
     docstrings: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         match node:
             case ast.Expr(value=ast.Constant(value=str())):
                 docstrings.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    every = tokenize.generate_tokens(io.StringIO(text).readline)
+    return [
+        token for token in every if token.type not in UNCOUNTED and token.start[0] not in docstrings
+    ]
+
+
+def tokens(text: str) -> int:
+    """How many tokens a module has."""
     total = 0
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type in UNCOUNTED or token.start[0] in docstrings:
-            continue
+    for token in counted(text):
         is_long = token.type == tokenize.STRING and token.start[0] != token.end[0]
         total += len(token.string.split()) if is_long else 1
     return total
+
+
+def lines_of_code(text: str) -> int:
+    """How many lines of a module have a token that counts."""
+    return len({n for token in counted(text) for n in range(token.start[0], token.end[0] + 1)})
 
 
 def texts(folder: str) -> dict[str, str]:
@@ -60,8 +72,8 @@ def main() -> None:
     if len(product) > FILES:
         broken.append(f"{len(product)} files of product code, expected {FILES} at most")
     for name, text in product.items():
-        if (count := text.count("\n")) > LINES:
-            broken.append(f"{name}: {count} lines, expected {LINES} at most")
+        if (count := lines_of_code(text)) > LINES:
+            broken.append(f"{name}: {count} lines of code, expected {LINES} at most")
     for name, text in {key: one for files in groups.values() for key, one in files.items()}.items():
         for number, line in enumerate(text.splitlines(), start=1):
             if len(line) > WIDTH:

@@ -1,6 +1,6 @@
 """How networks do at home, and under conditions that the first of them never met.
 
-    python benchmarks/anywhere.py --network anywhere columns    # docs/results/anywhere.md
+    python benchmarks/anywhere.py --network anywhere columns    # docs/results/networks.md
 
 Worlds are of the two kinds that `columns` learned from. The conditions: the sensor as it is; five
 scans fused; flights close to the ground; a spinning sensor with noise that loses a twentieth of its
@@ -18,8 +18,8 @@ from scoring import CAREFUL, Options, Results, drawn, measured, publish, tables
 
 from scenegen import Prediction, Sample
 from scenegen.dataset.read import Split
-from scenegen.model.evaluation.methods import Truth, rows_of
-from scenegen.recipe import make_recipe
+from scenegen.model.bench.methods import Truth, rows_of
+from scenegen.worlds.recipe import make_recipe
 
 TABLES = {"iou": "## IoU", "near_rmse": "## Near-RMSE, m", "success": "## Success"}
 KINDS = ("geometric", "pillar")
@@ -51,7 +51,7 @@ class PointsAlone:
 
 
 def main() -> None:
-    """Measure every condition, and write the page's tables."""
+    """Measure every condition, and write the tables."""
     given = measuring.parse(Options, maps=2, trials=2, network=["columns"])
     methods = [*rows_of(["extrude"], given.network), Truth()]
     alone = [PointsAlone(one, one.name) for one in methods[1:-1]]

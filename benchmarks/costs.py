@@ -34,12 +34,12 @@ from tyro.conf import Positional
 from lidarsim.grid import Floats, Ints
 from scenegen import Dataset
 from scenegen.dataset.read import Split
-from scenegen.display.figures import draw_completions
-from scenegen.display.look import Guess, look_into
-from scenegen.display.panels import to_bytes
-from scenegen.model.evaluation.methods import Method, rows_of
-from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify
-from scenegen.scored import scored_voxels
+from scenegen.draw.scored import scored_voxels
+from scenegen.model.bench.methods import Method, rows_of
+from scenegen.model.bench.visibility import CLASSES, UNSCORED, classify
+from scenegen.view.figures import draw_completions
+from scenegen.view.look import Guess, look_into
+from scenegen.view.panels import to_bytes
 
 MISSED = (
     "missed: holds a return",
@@ -149,7 +149,7 @@ def groups_of(samples: Split, index: int) -> Ints:
         np.select([*missed, out & above], range(first - 1), first - 1),
         np.select([beside, is_of["crossed"]], (first, first + 1), first + 2),
     )
-    scored_here = scored_voxels(sample, grid, samples.home(index).tables)
+    scored_here = scored_voxels(sample, grid, samples.home(index).tables.world)
     return np.where(scored_here, groups, UNSCORED)
 
 
@@ -181,7 +181,7 @@ def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> b
     def guess(samples: Split, index: int) -> list[Guess]:
         sample = samples[index]
         said = method.completion(sample, samples)
-        here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
+        here = scored_voxels(sample, dataset.grid, samples.home(index).tables.world)
         occupied = said.occupancy_probability >= THRESHOLDS[threshold]
         tudf = said.distance(None, dataset.grid)
         return [Guess(name=method.name, occupied=occupied & here, tudf=tudf)]

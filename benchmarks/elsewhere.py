@@ -1,15 +1,15 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
     python benchmarks/elsewhere.py MAPS                           # docs/results/elsewhere.md
-    python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md    # a quick look
+    python benchmarks/elsewhere.py --maps 5 --figures /tmp/try.csv    # a quick look
 
 MAPS is the folder of maps of real places that `real.py` takes; their flights are those of
 `real.py`, and they have a part in the first table alone.
 
 Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen
-rescan`), so that its rows are pairs, map by map, with those of the sensor of training. Exported
-networks (`scenegen export columns -o columns.onnx`, then `--network columns.onnx`) take a fifth of
-the time.
+generate --like`), so that its rows are pairs, map by map, with those of the sensor of training.
+Exported networks (`scenegen export columns -o columns.onnx`, then `--network columns.onnx`) take a
+fifth of the time.
 """
 
 import tempfile
@@ -27,17 +27,17 @@ from scoring import CAREFUL, RESULTS, Results, ahead, measured, titled, told
 from tyro.conf import Positional
 
 from lidarsim.sensors import SENSORS
-from lidarsim.solids.shapes import BOX, CYLINDER
+from lidarsim.solids import BOX, CYLINDER
 from scenegen import Dataset, Sample, WorldKind, preset
 from scenegen.dataset.build import build
-from scenegen.dataset.rescan import plan_rescan
+from scenegen.dataset.like import plan_like
+from scenegen.model.bench.methods import rows_of
+from scenegen.model.bench.metrics import PLAN_METRICS
+from scenegen.model.bench.run import DatasetResult
 from scenegen.model.config import PlanConfig, bundled
-from scenegen.model.evaluation.methods import rows_of
-from scenegen.model.evaluation.metrics import PLAN_METRICS
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.recipes.kind import Range, yaw_quaternion
-from scenegen.tables import named_noise
 from scenegen.worlds.drawing import Drawing
+from scenegen.worlds.kinds.kind import Range, yaw_quaternion
+from scenegen.worlds.tables import named_noise
 
 WORLDS = {
     "pillar": "pillar",
@@ -143,7 +143,7 @@ def as_seen(worlds: str, folder: Path, given: Options) -> dict[str, Dataset]:
         place = folder / f"{worlds} {name.replace(':', '')}"
         lidar = None if sensor == "default" else SENSORS.find(sensor)
         chain = named_noise(noise or None, lidar or original.lidar)
-        build(plan_rescan(original, place, lidar=lidar, chain=chain))
+        build(plan_like(original.folder, place, lidar=lidar, noise=chain))
         found[name] = Dataset(place)
     return found
 

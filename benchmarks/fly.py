@@ -4,7 +4,7 @@
     python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
     python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.md
 
-ENTRIES is a folder with an entry of each robot, as `scenegen fly --suite` writes them; one that is
+ENTRIES is a folder with an entry of each robot, as `scenegen fly suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
 robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the last scan
 alone. Decisions are timed in this process alone.
@@ -23,15 +23,14 @@ from scoring import RESULTS, publish, titled, told
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats
-from scenegen.cli.show import silent
+from scenegen.base.workers import ALONE
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.robots import FORGETFUL, NAMES
-from scenegen.model.robots.flights import counted, fly_course, fly_courses
-from scenegen.recipes import kind_names
-from scenegen.run.workers import ALONE
+from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 from scenegen.truth.difficulty import Difficulty
+from scenegen.worlds.kinds import kind_names
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
@@ -71,13 +70,13 @@ class Options(measuring.Options):
     robots: Sequence[str] = ROBOTS
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """of the vehicle"""
-    page: Path | None = None
+    figures: Path | None = None
 
 
 def main() -> None:
-    """Fly what is missing; print the tables, and write them to the page."""
+    """Fly what is missing; print the tables, and write them beside the page."""
     given = measuring.parse(Options, every=300, robots=["reactive", "optimistic"])
-    given.page = given.page or RESULTS / ("fly-real.md" if given.maps else "fly.md")
+    given.figures = given.figures or RESULTS / ("fly-real.csv" if given.maps else "fly.csv")
     with tempfile.TemporaryDirectory() as spare:
         every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
         courses = [
@@ -113,7 +112,7 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
     entries.mkdir(parents=True, exist_ok=True)
     entry = entries / f"{title}.json"
     work = partial(fly_course, robot=robot, weights=weights)
-    crew = partial(counted, ALONE, silent)
+    crew = crew_of(ALONE)
     done = fly_courses(courses, work, name, "aerial-1", entry, crew)
     flights = [one for _, several in done for one in several]
     print(f"{name}: {len(flights)} flights", flush=True)

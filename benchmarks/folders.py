@@ -23,7 +23,7 @@ from typing import Any
 
 import measuring
 
-from scenegen.dataset.manifest import NAME
+from scenegen.dataset.schema import NAME
 
 RECIPE = """
 kind = "pillar"
@@ -39,7 +39,7 @@ FORGET = """
 import sys
 from pathlib import Path
 from scenegen.dataset import manifest
-from scenegen.dataset.trust import load
+from scenegen.dataset.manifest import load
 folder = Path(sys.argv[1])
 manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
 """
@@ -88,11 +88,11 @@ def main() -> None:
 
 def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> None:
     """A folder of shards of one sample each, which no manifest lists yet."""
+    from scenegen.base.workers import run
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
-    from scenegen.run.workers import run
 
-    plan = plan_generation(
+    (plan,) = plan_generation(
         n=train,
         val=test,
         test=test,
@@ -100,17 +100,17 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
         recipe=recipe,
         compact=True,
         shard_samples=1,
-    )
+    ).datasets
     State(plan).open()
     first: Any = plan.shards[0]
-    for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
+    for _ in run(partial(_forge, folder, first.draw(0)), list(enumerate(plan.shards)), workers):
         pass
 
 
-def _forge(unit: Any, task: tuple[int, Any]) -> None:
+def _forge(folder: Path, unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
-    from scenegen.draw import none_rejected
+    from scenegen.draw.unit import none_rejected
 
     number, spec = task
     (sample,) = unit.samples
@@ -120,7 +120,7 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
     sample = replace(sample, world=spec.first_unit, position=position, origin=origin)
     world = re.sub(rb'pos="(\S+)', rb'pos="\g<1>%06d' % number, unit.world.mjcf, count=1)
     documents = {f"{spec.first_unit:06d}.xml": world}
-    put(spec, [(partial(getattr, sample), sample.sha256())], documents, none_rejected())
+    put(folder, spec, [(partial(getattr, sample), sample.sha256())], documents, none_rejected())
 
 
 def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
@@ -140,9 +140,7 @@ def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
         "inspect": f"-m scenegen inspect {data}",
         "inspect --all": f"-m scenegen inspect {data} --all --workers {workers}",
         "verify --quick": f"-m scenegen verify {data} --quick {quiet}",
-        "take --split train": f"-m scenegen take {data} --split train -o {here}/a {quiet}",
-        "take --split test": f"-m scenegen take {data} --split test -o {here}/b {quiet}",
-        "merge": f"-m scenegen merge {here}/a {here}/b -o {here}/c {quiet}",
+        "take --split train": f"-m scenegen take {data} --split train -o {here}/a.json {quiet}",
     }
     idle = 0.0
     print(

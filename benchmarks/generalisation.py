@@ -23,15 +23,16 @@ from typing import Any
 import measuring
 import numpy as np
 from real import POSES, real_places
-from scoring import RESULTS, by_map, drawn, measured, rewrite, titled
+from scoring import RESULTS, by_map, drawn, measured, titled, write_tables
 
 from scenegen import Dataset, preset
+from scenegen.base.executors import commit
+from scenegen.model.bench.methods import Method, rows_of
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
+from scenegen.model.bench.statistics import brief, summarise
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Method, rows_of
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import brief, summarise, table
-from scenegen.recipes import kind_names
-from scenegen.run.software import commit
+from scenegen.model.tables import markdown
+from scenegen.worlds.kinds import kind_names
 
 BUNDLED = "columns"
 FILE = "generalisation.json"
@@ -69,14 +70,14 @@ class Options(measuring.Options):
     """folder of maps of real places"""
     out: Path = RESULTS
     page: bool = False
-    """write the page anew, no more"""
+    """write the tables anew, no more"""
 
 
 def main() -> None:
     """Train, measure, and write what is there."""
     given = measuring.parse(Options, maps=2, tests=2, trials=2, held=["maze"])
     if given.page:
-        return write_page(given.out)
+        return write_csv(given.out)
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
@@ -132,7 +133,7 @@ def measured_rows(given: Options) -> dict[str, Any]:
 
 
 def put(given: Options, row: str, found: dict[str, Any]) -> None:
-    """Add a row to the results, and write the page anew."""
+    """Add a row to the results, and write the tables anew."""
     given.out.mkdir(parents=True, exist_ok=True)
     rows = measured_rows(given)
     more = json.loads(json.dumps(found), parse_float=lambda digits: round(float(digits), 4))
@@ -140,14 +141,14 @@ def put(given: Options, row: str, found: dict[str, Any]) -> None:
     lengths = {name: getattr(given, name) for name in LENGTHS}
     report = {"commit": commit(), **lengths, "rows": rows}
     (given.out / FILE).write_text(json.dumps(report, separators=(",", ":")) + "\n")
-    write_page(given.out)
+    write_csv(given.out)
     print(f"{row}: " + ", ".join(f"{kind} {one['iou']['mean']:.3f}" for kind, one in found.items()))
 
 
-def write_page(out: Path) -> None:
-    """Write the page's tables anew from the results."""
+def write_csv(out: Path) -> None:
+    """Write the tables anew from the results."""
     rows = json.loads((out / FILE).read_text())["rows"]
-    rewrite(out / "generalisation.md", tables(rows))
+    write_tables(out / "generalisation.csv", tables(rows))
 
 
 def tables(rows: dict[str, Any]) -> list[str]:
@@ -185,7 +186,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
         if shares:
             spread = f"{np.mean(shares):.2f} on average, {min(shares):.2f} to {max(shares):.2f}"
             lines += ["", f"*Held out* as a share of *seen in training*: {spread}."]
-        lines += ["", table([f"`{one}`" for one in (*kinds, *places)], matrix)]
+        lines += ["", markdown([f"`{one}`" for one in (*kinds, *places)], matrix)]
     if places:
         means = {
             row: [np.mean([rows[row][place][name]["mean"] for place in places]) for name in TITLES]

@@ -24,24 +24,23 @@ from unittest.mock import patch
 
 import measuring
 
+from scenegen.base.executors import cores
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
-from scenegen.run import cores
 
 STAGES = {
-    "draw world, write MJCF, compile": "scenegen.source.write_world",
+    "draw world, write MJCF, compile": "scenegen.draw.source.write_world",
     "  of which compile, read solids": "scenegen.worlds.world.compile_world",
-    "plan flight": "scenegen.draw.fly",
+    "plan flight": "scenegen.draw.draw.fly",
     "  of which RRT": "scenegen.worlds.flight.connect",
     "make engine": "scenegen.worlds.world.World.caster",
-    "cast rays": "scenegen.draw.cast",
+    "cast rays": "scenegen.draw.draw.cast",
     "occupancy": "scenegen.worlds.world.rasterize",
-    "observed and free": "scenegen.draw.fuse",
-    "distance": "scenegen.draw.distance_field",
+    "observed and free": "scenegen.draw.draw.fuse",
+    "distance": "scenegen.draw.draw.distance_field",
     "compress": "scenegen.dataset.shard.compress",
-    "sample digest": "scenegen.sample.Sample.sha256",
+    "sample digest": "scenegen.draw.sample.Sample.sha256",
     "file digest": "scenegen.dataset.shard.sha256_of",
-    "write and sync": "scenegen.dataset.shard.write_whole",
+    "write and sync": "scenegen.dataset.shard.create_at",
 }
 ELSE = "everything else"
 
@@ -71,13 +70,13 @@ def stopwatch() -> Iterator[defaultdict[str, float]]:
 def measure(kind: str, seconds: float) -> None:
     """Write shards in this process for `seconds`, and print what they and their stages took."""
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, stopwatch() as spent:
-        plan = plan_generation(kind, 100_000, val=0, test=0, out=folder)
-        write_shard(plan.shards[0])  # kernels compile, caches fill
+        (plan,) = plan_generation(kind, 100_000, val=0, test=0, out=folder).datasets
+        plan.shards[0].write(Path(folder))  # kernels compile, caches fill
         spent.clear()
         begin, used, samples, size = time.perf_counter(), measuring.processor_s(), 0, 0
         for shard in plan.shards[1:]:
-            report = write_shard(shard)
-            samples, size = samples + report.samples, size + report.size
+            report = shard.write(Path(folder))
+            samples, size = samples + report.entry.samples, size + report.size
             if time.perf_counter() - begin > seconds:
                 break
         wall, used = time.perf_counter() - begin, measuring.processor_s() - used

@@ -1,15 +1,15 @@
-"""Inference on the CPU: milliseconds a map by variant, stem and runtime, and against eager torch in
+"""Inference on the CPU: milliseconds a map by variant and runtime, and against eager torch in
 the same run.
 
-    python benchmarks/inference.py      # all variants, both stems; compiling takes a minute each
-    python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
+    python benchmarks/inference.py      # all variants; compiling takes a minute each
+    python benchmarks/inference.py --variant proposed --no-compile
 """
 
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import measuring
 import torch
@@ -34,7 +34,6 @@ class Options(measuring.Options):
     """What is measured."""
 
     variant: Sequence[str] = tuple(VARIANTS)
-    stem_stride: Sequence[Literal[1, 2]] = (2, 1)
     threads: int = torch.get_num_threads()
     no_compile: bool = False
     runtime: Sequence[str] = RUNTIMES
@@ -46,7 +45,6 @@ def main() -> None:
     given = measuring.parse(
         Options,
         variant=["occ"],
-        stem_stride=[2],
         runtime=["openvino"],
         rounds=1,
         no_compile=True,
@@ -57,23 +55,21 @@ def main() -> None:
         f"in turn;"
     )
     print("milliseconds by the clock, ratio to eager, milliseconds of processor time")
-    for stride in given.stem_stride:
-        for variant in given.variant:
-            inputs = INPUTS.get(variant, ("observed",))
-            config = NetworkConfig(variant=variant, inputs=inputs, stem_stride=stride)
-            ways = runners(Network(config).eval(), given.threads, given.runtime)
-            if not given.no_compile:
-                ways["compiled"] = torch.compile(ways["eager"])
-            found = measure(ways, inputs, given.rounds)
-            eager = found["eager"].wall
-            cells = "  ".join(
-                f"{name} {ms.wall:6.1f} ms ({ms.wall / eager:.2f}; {ms.processor:.1f})"
-                for name, ms in found.items()
-            )
-            print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
+    for variant in given.variant:
+        inputs = INPUTS.get(variant, ("observed",))
+        ways = runners(Network(NetworkConfig(variant=variant, inputs=inputs)).eval(), given)
+        if not given.no_compile:
+            ways["compiled"] = torch.compile(ways["eager"])
+        found = measure(ways, inputs, given.rounds)
+        eager = found["eager"].wall
+        cells = "  ".join(
+            f"{name} {ms.wall:6.1f} ms ({ms.wall / eager:.2f}; {ms.processor:.1f})"
+            for name, ms in found.items()
+        )
+        print(f"{variant:<9}:  {cells}", flush=True)
 
 
-def runners(network: Network, threads: int, runtimes: Iterable[Any]) -> dict[str, Way]:
+def runners(network: Network, options: Any) -> dict[str, Way]:
     """Ways to run `network`, by name."""
     file = Path(tempfile.mkdtemp(), "net.onnx")
     export_onnx(network, GRID, file, about={})
@@ -81,8 +77,8 @@ def runners(network: Network, threads: int, runtimes: Iterable[Any]) -> dict[str
     ways: dict[str, Way] = {"eager": network}
     if resolve_precision("auto", torch.device("cpu")) == torch.bfloat16:
         ways["eager bf16"] = torch.autocast("cpu", torch.bfloat16)(network)
-    for runtime in runtimes:
-        ways[runtime] = load_onnx(file, runtime=runtime, threads=threads)[0]
+    for runtime in options.runtime:
+        ways[runtime] = load_onnx(file, runtime=runtime, threads=options.threads)[0]
     return ways
 
 

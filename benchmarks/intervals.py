@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Floats, Ints
-from scenegen.model.evaluation.statistics import Scale, summarise
+from scenegen.model.bench.statistics import Scale, summarise
 
 WORLDS = (3, 10, 30)
 REPEATS = 10_000

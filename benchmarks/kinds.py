@@ -21,10 +21,10 @@ import numpy as np
 from tyro.conf import Positional
 
 from scenegen import preset
-from scenegen.draw import draw_unit
-from scenegen.recipes import kind_names
-from scenegen.source import DrawnWorlds
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.source import DrawnWorlds
 from scenegen.truth.difficulty import difficulty
+from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.world import solid
 
 BASE = "geometric"

@@ -30,10 +30,10 @@ ROOMS = {
     "truth": ("scenegen/truth/[!g]*.py", "tests/scenegen/truth"),
     "voxelize": ("lidarsim/voxelization.py", "tests/lidarsim/test_voxelization.py tests/lidarsim"),
     "losses": ("model/losses.py", "tests/model/test_losses.py"),
-    "planning": ("model/*/planning/*.py", "tests/model/evaluation"),
-    "statistics": ("model/*/statistics.py", "tests/model/evaluation"),
+    "planning": ("model/bench/planner.py model/bench/trials.py", "tests/model/bench"),
+    "statistics": ("model/bench/statistics.py", "tests/model/bench"),
     "manifest": (
-        "scenegen/dataset/manifest.py scenegen/dataset/trust.py",
+        "scenegen/dataset/manifest.py scenegen/dataset/schema.py scenegen/dataset/collection.py",
         "tests/scenegen/dataset tests/scenegen/verification",
     ),
 }

@@ -44,7 +44,6 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
         network(maps)
     return {
         "variant": config.variant,
-        "stem_stride": config.stem_stride,
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
         "macs": counter.get_total_flops() // 2,
         "activation_bytes": sum(kept.values()),
@@ -52,16 +51,15 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print a row for every variant and stem, for maps of the usual grid."""
+    """Print a row for every variant, for maps of the usual grid."""
     measuring.parse(Options)
-    print("| variant | stem stride | parameters | GMACs | activations |\n|---|---|---|---|---|")
-    for stride in (2, 1):
-        for variant in VARIANTS:
-            row = cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
-            print(
-                f"| `{variant}` | {stride} | {row['parameters']:,} | {row['macs'] / 1e9:.2f} | "
-                f"{row['activation_bytes'] / 1e6:.0f} MB |"
-            )
+    print("| variant | parameters | GMACs | activations |\n|---|---|---|---|")
+    for variant in VARIANTS:
+        row = cost(NetworkConfig(variant=variant), GridSpec().shape)
+        print(
+            f"| `{variant}` | {row['parameters']:,} | {row['macs'] / 1e9:.2f} | "
+            f"{row['activation_bytes'] / 1e6:.0f} MB |"
+        )
 
 
 if __name__ == "__main__":

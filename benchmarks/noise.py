@@ -9,6 +9,7 @@ Processor time, the least of all rounds; a ratio has the clean scan in both.
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 import measuring
 import mujoco
@@ -18,11 +19,10 @@ from lidarsim import Pose, Sensor, attach
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import DATASHEET
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
-from scenegen.draw import scan_world
-from scenegen.recipes import kind_names
-from scenegen.source import named_world
-from scenegen.tables import named_lidar
+from scenegen.draw.draw import scan_world
+from scenegen.draw.source import named_world
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.tables import named_lidar
 from scenegen.worlds.world import World, solid
 
 CLEAN = ""
@@ -83,7 +83,7 @@ def attached(world: World, sensor: Sensor, pose: Pose, noise: str) -> dict[str, 
 
 def generated(kind: str, lidar: str, noise: str, samples: int, folder: str) -> Task:
     """A shard of a dataset."""
-    plan = plan_generation(
+    (plan,) = plan_generation(
         kind,
         samples,
         val=0,
@@ -92,8 +92,8 @@ def generated(kind: str, lidar: str, noise: str, samples: int, folder: str) -> T
         lidar=lidar,
         noise=noise or None,
         shard_samples=samples,
-    )
-    return partial(write_shard, plan.shards[0])
+    ).datasets
+    return partial(plan.shards[0].write, Path(folder))
 
 
 def report(title: str, tasks: dict[str, Task], rounds: int) -> None:

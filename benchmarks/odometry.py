@@ -21,7 +21,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from scenegen.logs.read import read_log
-from scenegen.logs.write import matrix_of
+from scenegen.logs.record import matrix_of
 
 
 class Options(measuring.Options):

@@ -1,6 +1,6 @@
 """Published completion networks, written again from their papers, trained on the maps of ours.
 
-    python benchmarks/peers.py MAPS --runs /tmp/peers     # docs/results/peers.md
+    python benchmarks/peers.py MAPS --runs /tmp/peers     # docs/results/networks.md
 
 `LMSCNet`, `SSCNet` and our `columns` begin with random weights, and learn from the same maps of
 `anywhere.toml`, in the same order, by the same loss. A run that is there goes on to so many maps.
@@ -24,9 +24,8 @@ from torch import Tensor, nn
 from tyro.conf import Positional
 
 from scenegen import Output
+from scenegen.model.bench.methods import rows_of
 from scenegen.model.completion.completer import open_network
-from scenegen.model.evaluation.methods import rows_of
-from scenegen.model.evaluation.statistics import line
 from scenegen.model.network import placed
 
 HERE = Path(__file__).parent
@@ -93,7 +92,7 @@ def scored(results: Results) -> list[str]:
     lines = tables(TABLES, results, names, groups=by_map, form=".2f")
     real = [(one, maps_of(one, place)) for place, one in results.items() if place[0] != "`"]
     if real:  # success is the last table
-        lines.append(line(REAL, ahead(real, "extrude", "gain").values()))
+        lines.append(f"| {REAL} | {' | '.join(ahead(real, 'extrude', 'gain').values())} |")
     return lines
 
 

@@ -19,7 +19,7 @@ from lidarsim import AnalyticEngine, Lidar, Pose
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.grid import Floats
 from lidarsim.pose import rotate
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 
 COUNTS = 50, 200, 800, 3000, 20_000
 POSES = 6

@@ -9,7 +9,7 @@ MAPS is a folder with the maps of `places.toml`, which says where each comes fro
 missing is left out, one with other bytes is refused. The paper's sensor looks from free space along
 flights of its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand
 beside them, and logs that are flown in some of the worlds, as `scenegen ingest` reads them. With
---paths, only the last tables of the page are made anew: of what paths meet in the real places.
+--paths, only the tables are made anew of what paths meet in the real places.
 """
 
 import operator
@@ -41,16 +41,16 @@ from tyro.conf import Positional
 
 from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Prediction, preset
-from scenegen.files import sha256_of
+from scenegen.base.reading import sha256_of
+from scenegen.draw.scored import scored_voxels
 from scenegen.fly.suite import MAPS
+from scenegen.model.bench.methods import Method, Truth, rows_of
+from scenegen.model.bench.reliability import REGIONS, count, reliability
+from scenegen.model.bench.run import MethodResult
+from scenegen.model.bench.statistics import brief
 from scenegen.model.calibration import denial
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Method, Truth, rows_of
-from scenegen.model.evaluation.reliability import REGIONS, count, reliability
-from scenegen.model.evaluation.run import MethodResult
-from scenegen.model.evaluation.statistics import brief
 from scenegen.model.inputs import PointScan
-from scenegen.scored import scored_voxels
 
 UNLEARNED = ("extrude", "returns", "conservative", "empty")
 BASE = "extrude"
@@ -63,8 +63,6 @@ PLANNERS = {
     "the paper's planner with edges checked": PlanConfig(edge_check=True),
     "the careful planner": CAREFUL,
 }
-PATHS_MARK = "<!-- paths -->"
-"""In the page: below it are the tables of what paths meet."""
 PATH_METRICS = {
     "hits": "hits",
     "crossed_hits": "hits in crossed voxels only",
@@ -123,12 +121,12 @@ def main() -> None:
             for line in paths_met(planner, by_place, marked=marked)
         ]
         if given.paths:
-            publish(given, paths, PATHS_MARK)
+            publish(given, paths)
             return
         lines = scored(places, logs_to_complete(given, Path(folder)), methods)
         for planner, by_place in results.items():
             lines += planned(f"## Success, {planner}, known space marked", by_place)
-        publish(given, [*lines, "", PATHS_MARK, *paths])
+        publish(given, [*lines, *paths])
 
 
 def maps_to_complete(given: Any, folder: Path) -> dict[str, Dataset]:
@@ -201,7 +199,7 @@ def scored(
     for name, dataset in places.items():
         samples = maps_in(dataset)
         seen = [
-            (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables))
+            (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables.world))
             for n, one in enumerate(samples)
         ]
         counts[name] = counted(seen, samples, methods)

@@ -24,8 +24,8 @@ from tyro.conf import Positional
 
 from lidarsim.grid import Floats
 from scenegen.logs import LogScan
-from scenegen.logs.write import write_log
-from scenegen.poses import pose_of_matrix
+from scenegen.logs.record import write_log
+from scenegen.worlds.poses import pose_of_matrix
 
 STRIDE = 4
 """Of so many pixels in a row and in a column, one is taken."""

@@ -1,5 +1,7 @@
 """What benchmarks of networks share: options, datasets of places, the bench in each, and tables."""
 
+import csv
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,16 +14,17 @@ import numpy as np
 from scenegen import Dataset, Recipe
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Split
+from scenegen.draw.source import DrawnWorlds, Source, read_scenes
+from scenegen.model.bench.methods import Method
+from scenegen.model.bench.metrics import PLAN_METRICS
+from scenegen.model.bench.run import DatasetResult, bench
+from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.metrics import PLAN_METRICS
-from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import Scale, brief, summarise, table
-from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.model.tables import markdown
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-MARK = "<!-- tables -->"
-"""In a page: below it, all is written anew."""
+COLUMNS = "table", "row", "column", "value", "low", "high"
+"""Of a file of figures, which stands beside the page that speaks of them."""
 CAREFUL = PlanConfig(planner="careful")
 Results = dict[str, DatasetResult]
 """By place."""
@@ -29,7 +32,7 @@ Results = dict[str, DatasetResult]
 
 class Options(measuring.Options):
     """Of a benchmark that measures networks on maps of each place, and planning on them, and writes
-    a page."""
+    their tables."""
 
     network: Sequence[str] = ("anywhere", "columns", "proposed")
     """a bundled one's name, a file or a run"""
@@ -37,7 +40,7 @@ class Options(measuring.Options):
     """test maps of each place, at most"""
     trials: int = 240
     """planning trials of each place"""
-    page: Path = RESULTS / f"{Path(sys.argv[0]).stem}.md"
+    figures: Path = RESULTS / f"{Path(sys.argv[0]).stem}.csv"
     """where the tables are written"""
 
 
@@ -83,17 +86,52 @@ def measured(
     return found
 
 
-def publish(given: Any, lines: Sequence[str], mark: str = MARK) -> None:
-    """Print the tables, and write them to the page below a mark; not where they mean nothing."""
+def publish(given: Any, lines: Sequence[str]) -> None:
+    """Print the tables, and write them to the file beside the page; not where they mean nothing."""
     print("\n".join(lines))
     if not given.smoke:
-        rewrite(given.page, lines, mark)
+        write_tables(given.figures, lines)
 
 
-def rewrite(page: Path, lines: Sequence[str], mark: str = MARK) -> None:
-    """Write the tables of a page below a mark anew; what stands above it stays."""
-    said = page.read_text().partition(mark)[0] if page.is_file() else f"# {page.stem}\n\n"
-    page.write_text(f"{said}{mark}\n" + "\n".join(lines) + "\n")
+def write_tables(path: Path, lines: Sequence[str]) -> None:
+    """Write tables as CSV, a line for each cell. Tables of other titles that the file has stay."""
+    found = cells("\n".join(lines))
+    titles = {cell["table"] for cell in found}
+    if path.is_file():
+        with path.open(newline="", encoding="utf-8") as file:
+            found = [cell for cell in csv.DictReader(file) if cell["table"] not in titles] + found
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(found)
+
+
+def cells(text: str) -> list[dict[str, str]]:
+    """Every cell of the tables of a page, below the titles and the caption that lead to each; with
+    the bounds of its interval, if the cell has one. Empty cells are left out."""
+    found: list[dict[str, str]] = []
+    titles: list[str] = []
+    caption: list[str] = []
+    heads: list[str] = []
+    for line in text.replace("`", "").splitlines():
+        if title := re.match(r"(#+) (.*)", line):
+            titles, caption = [*titles[: len(title[1]) - 2], title[2]], []
+        elif line.endswith(":"):
+            caption = [line[:-1]]
+        if not line.startswith("| ") or line.startswith("|--"):
+            heads = heads if line.startswith("|--") else []
+            continue
+        row, *values = [cell.strip().strip("*") for cell in line.strip("|").split("|")]
+        if not heads:
+            heads = values
+            continue
+        for head, value in zip(heads, values, strict=False):
+            if value and value != "–":
+                bounds = re.fullmatch(r"(\S+(?: ± \S+)?) \[(\S+), (\S+)\]", value)
+                split = bounds.groups() if bounds else (value, "", "")
+                cell = (": ".join([*titles, *caption]), row, head, *split)
+                found.append(dict(zip(COLUMNS, cell, strict=True)))
+    return found
 
 
 def titled(
@@ -102,7 +140,7 @@ def titled(
     rows: Iterable[tuple[str, Iterable[str]]],
 ) -> list[str]:
     """A table below its title: a column for each of `heads`, and rows by name."""
-    return ["", title, "", table([*heads], rows)]
+    return ["", title, "", markdown([*heads], rows)]
 
 
 def told(values: Any, groups: Any, form: str, scale: Scale = "amount") -> str:

@@ -8,12 +8,12 @@ import math
 import tempfile
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import measuring
 
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
 
 SENSORS = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
 DATASETS: dict[str, dict[str, Any]] = {
@@ -45,9 +45,9 @@ def main() -> None:
         for name, asked in DATASETS.items():
             if any(word in name for word in given.only):
                 more = {"out": folder, "shard_samples": given.samples, **asked}
-                plan = plan_generation(given.kind, given.samples, val=0, test=0, **more)
+                (plan,) = plan_generation(given.kind, given.samples, val=0, test=0, **more).datasets
                 shards[name] = plan.shards[0]
-        tasks = {name: partial(write_shard, shard) for name, shard in shards.items()}
+        tasks = {name: partial(shard.write, Path(folder)) for name, shard in shards.items()}
         times = measuring.in_turn(tasks, given.rounds)
     for name, shard in shards.items():
         milliseconds = times[name].processor / given.samples

@@ -18,6 +18,8 @@ class Served(ThreadingHTTPServer):
     def __init__(self, home: Path, fail_every: int = 0):
         super().__init__(("127.0.0.1", 0), Answer)
         self.home, self.fail_every = home, fail_every
+        self.room: int | None = None
+        """How many more objects are taken before the store is full."""
         self.log: list[tuple[str, int]] = []
         """What was asked for, "GET train-00000.h5" or "LIST", and the bytes of each answer."""
         self.alone = Lock()
@@ -60,11 +62,15 @@ class Answer(BaseHTTPRequestHandler):
             content = path.read_bytes() if path.is_file() else None
             tag = tag_of(content or b"")
             other = (wanted and wanted != tag) or (self.headers.get("If-None-Match") and content)
-            if self.command == "PUT" and not refuses and not other:
+            full = server.room == 0
+            if self.command == "PUT" and not refuses and not other and not full:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(body)
+                server.room = None if server.room is None else server.room - 1
         if refuses:
             self._send(503)
+        elif self.command == "PUT" and full:
+            self._send(507)
         elif query:
             self._send(200, listing(path, query))
         elif other:

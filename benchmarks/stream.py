@@ -8,13 +8,13 @@ How long training waits for one says `benchmarks/training.py --stream pillar`.
 import itertools
 import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import measuring
 
 import scenegen
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.placed import write_shard
 
 BATCH = 8
 
@@ -33,7 +33,7 @@ class Options(measuring.Options):
 def generate(kind: str, count: int, turn: int) -> None:
     """Write `count` samples as a shard, compact as a network needs it; others in each turn."""
     with tempfile.TemporaryDirectory() as folder:
-        plan = plan_generation(
+        (plan,) = plan_generation(
             kind,
             (turn + 1) * count,
             val=0,
@@ -41,8 +41,8 @@ def generate(kind: str, count: int, turn: int) -> None:
             out=folder,
             compact=True,
             shard_samples=count,
-        )
-        write_shard(plan.shards[turn])
+        ).datasets
+        plan.shards[turn].write(Path(folder))
 
 
 def read(kind: str, count: int, turn: int, **how: Any) -> None:

@@ -11,7 +11,7 @@ import measuring
 from matplotlib.figure import Figure
 from tyro.conf import Positional
 
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
 
 COLOURS = {
     "confirmed": "tab:blue",

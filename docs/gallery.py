@@ -1,7 +1,7 @@
 """Draw the gallery's worlds and sheets, and write its page; or draw the pictures of docs/look.md
 and docs/sensor.md.
 
-    python docs/gallery.py          # docs/gallery.md, docs/pictures/gallery/*.webp, and the
+    python docs/gallery.py          # docs/worlds.md, docs/pictures/gallery/*.webp, and the
                                     # pictures of `pictures.py`, which needs pyvista
     python docs/gallery.py sensors  # docs/pictures/sensors/*.png
     python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
@@ -29,13 +29,13 @@ from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, RASTER
 from lidarsim.sensors.device import angles_deg
-from scenegen.display.colours import DISTANCES, colour
-from scenegen.display.panels import to_bytes
-from scenegen.display.pictures import draw_patterns
-from scenegen.draw import scan_world
-from scenegen.recipes import kind_names
-from scenegen.source import read_world
-from scenegen.tables import named_lidar
+from scenegen.draw.draw import scan_world
+from scenegen.draw.source import read_world
+from scenegen.view.canvas import DISTANCES, colour
+from scenegen.view.panels import to_bytes
+from scenegen.view.pictures import draw_patterns
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent
 SHEETS = DOCS / "pictures" / "gallery"
@@ -88,18 +88,19 @@ TABS = {
     "world": (800, "data/pillar", "", "&layers=points~occupancy~world"),
 }
 """The height in pixels, the dataset, the networks and the address of each picture of the page."""
-PAGE = """# Gallery
-
+MARK = "<!-- gallery -->"
+"""Below it, docs/worlds.md is written anew."""
+PAGE = """
 Written by `python docs/gallery.py`.
 
-## Worlds
+### Worlds
 
-Every [kind of world](worlds.md), as its preset draws it: the solids, the viewpoints of a flight,
+Every kind of world, as its preset draws it: the solids, the viewpoints of a flight,
 and the map's box about one of them.
 
 {worlds}
 
-## Sensors
+### Sensors
 
 Every [sensor](sensor.md#the-catalogue) by its name, at one pose in
 `scenes/warehouse.xml`. A dot is a return: azimuth from 180° at the left to −180°, elevation from
@@ -107,22 +108,22 @@ Every [sensor](sensor.md#the-catalogue) by its name, at one pose in
 
 ![every sensor's returns of the same scene](pictures/gallery/sensors.webp)
 
-## Noise
+### Noise
 
-Every [stage of noise](noise.md#stages), seen from above in the same scene: grey without it,
-coloured by range with it (`intensity`: by brightness). Stages are stronger here than a sensor has
-them.
+Every [stage of noise](settings.md#stages-of-noise), seen from above in the same scene: grey
+without it, coloured by range with it (`intensity`: by brightness). Stages are stronger here than a
+sensor has them.
 
 ![every stage of noise, before and after](pictures/gallery/noise.webp)
 
-## Networks, at home
+### Networks, at home
 
 The paper's three networks on a test sample of `geometric`, a kind that they learned from
 ([complete](complete.md#bundled-networks)); magenta is missed, black is invented.
 
 ![completions beside the truth](pictures/look/completions.webp)
 
-## Networks, away
+### Networks, away
 
 `anywhere` in real places, none of which it was trained in: of each, the map with the median IoU
 ([results](results/real.md)).
@@ -147,7 +148,9 @@ def main() -> None:
         rows.append("".join(f"| `{name}` " for name in names[first : first + 2]) + "|")
         rows.append("".join(cells[first : first + 2]) + "|")
     page = PAGE.format(worlds="\n".join(rows), far=FAR_M)
-    (DOCS / "gallery.md").write_text(page, encoding="utf-8")
+    path = DOCS / "worlds.md"
+    above = path.read_text(encoding="utf-8").partition(MARK)[0]
+    path.write_text(f"{above}{MARK}\n{page}", encoding="utf-8")
 
 
 def draw_looks() -> None:

@@ -11,11 +11,12 @@ import numpy as np
 import pyvista as pv
 
 from lidarsim import Pose, Scan
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, Solids
-from scenegen.draw import Unit, draw_unit
-from scenegen.recipe import Recipe, preset
-from scenegen.recipes import kind_names
-from scenegen.source import DrawnWorlds
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, Solids
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.source import DrawnWorlds
+from scenegen.draw.unit import Unit
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import Recipe, preset
 from scenegen.worlds.world import solid
 
 OUT = Path(__file__).parent / "pictures"

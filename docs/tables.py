@@ -19,15 +19,15 @@ import inspect
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
 from lidarsim.sensors.device import angles_deg
-from scenegen.recipe import Acceptance
-from scenegen.recipes.kind import WorldKind, bounds_by_name
 from scenegen.worlds.flight import Flight
+from scenegen.worlds.kinds.kind import WorldKind, bounds_by_name
+from scenegen.worlds.recipe import Acceptance
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -58,9 +58,14 @@ def table(kind: type[Any]) -> str:
     if issubclass(kind, WorldKind):
         return kind_table(kind, said)
     lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    types = get_type_hints(kind)
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            allowed = _allowed(item.metadata.get(BOUNDS, Bounds()))
+            choices = get_args(types[item.name])
+            if get_origin(types[item.name]) is Literal:
+                allowed = ", ".join(_value(choice) for choice in choices)
+            else:
+                allowed = _allowed(item.metadata.get(BOUNDS, Bounds()))
             meaning = said[item.name].replace("|", "/")
             lines.append(f"| `{item.name}` | {_value(item.default)} | {allowed} | {meaning} |")
     return "\n".join(lines) + "\n"
@@ -138,7 +143,7 @@ def stages() -> str:
 
 def _value(value: Any) -> str:
     """A default as TOML writes it."""
-    if value is dataclasses.MISSING:
+    if value is dataclasses.MISSING or value is None:
         return "none"
     if isinstance(value, tuple):
         return f"`[{', '.join(_value(one).strip('`') for one in value)}]`"

@@ -1,4 +1,4 @@
-"""What a sensor sees: an MJCF world and a pose become rays, a scan, and observed and free voxels.
+"""LiDAR simulation: an MJCF world and a pose become rays, a scan, and observed and free voxels.
 
 The whole method in five lines, on any MuJoCo world::
 
@@ -6,8 +6,7 @@ The whole method in five lines, on any MuJoCo world::
     pose = Pose.level(position=(8.0, 6.0, 1.5), yaw_rad=0.3)
     scan = cast(AnalyticEngine.of(model), Lidar(), pose)
     grid = voxelize(scan, GridSpec())
-    print(len(scan.points()), "returns in", grid.observed.sum(), "voxels")
-"""
+    print(len(scan.points()), "returns in", grid.observed.sum(), "voxels")"""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -46,7 +45,7 @@ __all__ = [
 ]
 
 
-_PLACES = {
+_MODULES = {
     "attachment": "Attached attach",
     "engines": "Engine",
     "engines.analytic": "AnalyticEngine",
@@ -67,11 +66,13 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """What `__all__` lists, imported when it is first asked for: the command line needs
-    `lidarsim.parameters` alone, without numpy and MuJoCo."""
-    for module, names in _PLACES.items():
+    """Import a name of `__all__` on first use.
+
+    The command line needs only `lidarsim.parameters`, and must not load numpy and MuJoCo for it."""
+    for module, names in _MODULES.items():
         if name in names.split():
-            found = getattr(importlib.import_module(f"lidarsim.{module}"), name)
-            globals()[name] = found
-            return found
+            attribute = getattr(importlib.import_module(f"lidarsim.{module}"), name)
+            # so that the next access does not come here
+            globals()[name] = attribute
+            return attribute
     raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

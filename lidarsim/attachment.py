@@ -1,5 +1,5 @@
-"""A sensor on a body of a running simulation: it goes where the body goes, and sees what has
-moved."""
+"""A sensor on a body of a running simulation: it moves with the body, and sees where geoms are
+now."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,25 +18,24 @@ from lidarsim.registry import suggestion
 from lidarsim.scan import Scan, mounted
 from lidarsim.sensors import Sensor, check_sensor
 from lidarsim.sensors.raster import Lidar
-from lidarsim.solids.model import ModelSolids, check_forwarded
+from lidarsim.solids import ModelSolids, check_forwarded
 
-HERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-Told = TypeVar("Told")
+IDENTITY = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+Answer = TypeVar("Answer")
 Unseen = Literal["nothing", "body", "tree"]
-"""What a sensor does not see of its carrier: nothing; the body's own geoms, as `bodyexclude` of
-MuJoCo's rays; or those of the whole tree of bodies that moves with it, such as a robot with its
-arms and wheels."""
+"""Geoms of its carrier that a sensor does not see: none; the body's own, as with `bodyexclude` of
+MuJoCo's rays; or those of the tree of bodies that moves with it, such as a robot with its arms and
+wheels."""
 
 
 class Attached:
     """A sensor on each of M bodies of a model. It serves one thread at a time.
 
-    Every method reads where bodies and geoms are from the data that it is given, refits the
-    hierarchy to what has moved, and casts the rays of all M sensors at once. After ``mj_step``,
-    MuJoCo's own places are those from which the step began: ``mj_kinematics(model, data)`` brings
-    them up to date. All methods raise ValueError for data that were never forwarded, or in which a
-    geom's place is no number.
-    """
+    Every method reads the places of bodies and geoms from the data that it gets, refits the
+    hierarchy to those that have moved, and casts the rays of all M sensors at once. After
+    ``mj_step``, MuJoCo's own places are those from which the step began: ``mj_kinematics(model,
+    data)`` brings them up to date. All methods raise ValueError if data were never forwarded, or a
+    geom's place is not finite."""
 
     def __init__(
         self,
@@ -44,20 +43,29 @@ class Attached:
         body: str | Sequence[str],
         sensor: Sensor | None = None,
         *,
-        offset: Pose | Sequence[Pose] = HERE,
+        offset: Pose | Sequence[Pose] = IDENTITY,
         unseen: Unseen = "body",
         threads: int | None = None,
     ):
-        """Mount `sensor` (a `Lidar` unless given) on a body of `model`, or one on each of several.
+        """Mount a sensor on one body of a model, or on each of several.
 
-        `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
-        offsets and one body, all of them are on that. A `lever_arm_m` of the sensor's is added, in
-        the offset's frame. Shapes, sizes and colours are read now, places at every scan. `threads`
-        as for `AnalyticEngine`. Raises ValueError for a body that the model does not have, for what
-        is no sensor, for counts that do not fit, and as `ModelSolids` does.
+        Shapes, sizes and colours are read now, places at every scan. A `lever_arm_m` of the sensor
+        is added, in the offset's frame.
+
+        Args:
+            model: The compiled world.
+            body: Names of the bodies; one name goes with several offsets.
+            sensor: A `Lidar` with its defaults if None.
+            offset: The sensor's pose in the body's frame: one for all bodies, or one each.
+            unseen: Geoms of the carrier that rays pass through.
+            threads: See `AnalyticEngine`.
+
+        Raises:
+            ValueError: If the model has no such body, `sensor` is not a sensor, or the counts of
+                bodies and offsets differ; and as `ModelSolids` does.
         """
         offsets = [offset] if isinstance(offset, Pose) else list(offset)
-        if not all(isinstance(one, Pose) for one in offsets):
+        if not all(isinstance(item, Pose) for item in offsets):
             raise ValueError(f"attach: offset = {offset}: expected a Pose, or several")
         names = [body] if isinstance(body, str) else list(body)
         count = max(len(offsets), len(names))
@@ -72,16 +80,18 @@ class Attached:
             )
         self.sensor, self._model, self._threads = sensor or Lidar(), model, threads
         check_sensor(self.sensor)
-        self._bodies = [_numbered(model, name) for name in names] * (count // len(names))
+        self._bodies = [_body_number(model, name) for name in names] * (count // len(names))
         self._offsets = offsets * (count // len(offsets))
         self._solids = ModelSolids(model)
+        # solids of one number are one part: `hits` lets rays pass through a part at a time
         kin = model.body_rootid if unseen == "tree" else np.arange(model.nbody)
         self._parts = kin[model.geom_bodyid[self._solids.geom]]
         self._through = kin[self._bodies] if unseen != "nothing" else np.full(count, -1)
+        # made with the first data, whose places its hierarchy needs
         self._engine: AnalyticEngine | None = None
 
     def poses(self, data: mujoco.MjData) -> tuple[Pose, ...]:
-        """Where the M sensors are."""
+        """Compute the poses of the M sensors in the world."""
         check_forwarded(self._model, data)
         return tuple(
             mounted(self.sensor, chained(Pose(data.xpos[body], data.xquat[body]), offset))
@@ -89,23 +99,32 @@ class Attached:
         )
 
     def cast(self, data: mujoco.MjData) -> tuple[Floats, Ints]:
-        """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
-        the geoms met, -1 where none."""
-        return self._asked(AnalyticEngine.nearest, data)
+        """Cast the rays of all sensors.
+
+        Returns:
+            Metres (M, *shape), inf where nothing is within the sensor's range; and numbers of the
+            geoms met, (M, *shape), -1 where none.
+        """
+        return self._call(AnalyticEngine.nearest, data)
 
     def hits(self, data: mujoco.MjData) -> Hits:
-        """What `cast` gives, with points and normals, all (M, *shape)."""
-        return self._asked(AnalyticEngine.hits, data)
+        """Cast the rays as `cast` does, and add points and normals, all (M, *shape)."""
+        return self._call(AnalyticEngine.hits, data)
 
     def scans(self, data: mujoco.MjData) -> tuple[Scan, ...]:
-        """One scan a sensor."""
+        """Scan with every sensor, without noise."""
         ranges = self.cast(data)[0].astype(np.float32)
         return tuple(
-            Scan(one, pose, self.sensor) for one, pose in zip(ranges, self.poses(data), strict=True)
+            Scan(sensor_ranges, pose, self.sensor)
+            for sensor_ranges, pose in zip(ranges, self.poses(data), strict=True)
         )
 
     def scan(self, data: mujoco.MjData) -> Scan:
-        """The scan of a single sensor. Raises ValueError where there are several."""
+        """Scan with the only sensor.
+
+        Raises:
+            ValueError: If there are several sensors.
+        """
         if len(self._bodies) > 1:
             raise ValueError(
                 f"scan: {len(self._bodies)} sensors are attached; call scans, which gives one for "
@@ -116,26 +135,39 @@ class Attached:
     def observe(
         self, data: mujoco.MjData, noise: Noise | str, *, rng: np.random.Generator
     ) -> tuple[Returns, ...]:
-        """What the M sensors return with `noise`, or the chain of that text, each by a stream of
-        its own. Raises ValueError as stages and `Noise.parse` do."""
+        """Scan with every sensor, with noise.
+
+        Args:
+            data: Where bodies and geoms are.
+            noise: A chain, or its text.
+            rng: Spawns a stream for each sensor.
+
+        Returns:
+            The returns of the M sensors.
+
+        Raises:
+            ValueError: As the stages and `Noise.parse` do.
+        """
         chain = Noise.parse(noise, self.sensor)
         scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
         assert engine is not None
-        past = [_past(engine, int(carrier)) for carrier in self._through]
+        # stages cast rays of their own, which must pass through the carrier, too
+        views = [_through_carrier(engine, int(carrier)) for carrier in self._through]
         return tuple(
-            chain.observe(scan, one, rng=stream, albedo=albedo)
-            for scan, one, stream in zip(scans, past, rng.spawn(len(scans)), strict=True)
+            chain.observe(scan, view, rng=stream, albedo=albedo)
+            for scan, view, stream in zip(scans, views, rng.spawn(len(scans)), strict=True)
         )
 
-    def _asked(self, ask: Callable[..., Told], data: mujoco.MjData) -> Told:
-        """What a method of the engine says of the rays of all sensors, refitted to the data."""
+    def _call(self, method: Callable[..., Answer], data: mujoco.MjData) -> Answer:
+        """Call a method of the engine with the rays of all sensors, after a refit to `data`."""
         solids = self._solids.at(data)
         if self._engine is None:
             self._engine = AnalyticEngine(solids, threads=self._threads, parts=self._parts)
         else:
+            # a refit is quicker than a new hierarchy, and as good while geoms keep their neighbours
             self._engine.move(solids)
         poses, rays = self.poses(data), self.sensor.directions_body
-        return ask(
+        return method(
             self._engine,
             [pose.position for pose in poses],
             [rotate(pose.quaternion, rays) for pose in poses],
@@ -148,16 +180,16 @@ attach = Attached
 """The class as a verb: ``attach(model, "robot", Lidar()).scan(data)``."""
 
 
-def _past(engine: AnalyticEngine, carrier: int) -> Any:
-    """The engine as a sensor has it that does not see its carrier; see `View.engine`."""
+def _through_carrier(engine: AnalyticEngine, carrier: int) -> Any:
+    """Wrap the engine so that its rays pass through the carrier."""
     hits = partial(engine.hits, through=[carrier])
     return SimpleNamespace(hits=hits, cast=lambda *rays, **named: hits(*rays, **named).ranges)
 
 
-def _numbered(model: mujoco.MjModel, name: str) -> int:
-    """The number of the body called `name`."""
-    found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
-    if found < 0:
+def _body_number(model: mujoco.MjModel, name: str) -> int:
+    """Return the number of the body called `name`. Raises ValueError if there is none."""
+    number = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
+    if number < 0:
         hint = suggestion(name, filter(None, (model.body(n).name for n in range(model.nbody))))
         raise ValueError(f"attach: the model has no body {name!r}; {hint[:100]}")
-    return found
+    return number

@@ -24,30 +24,61 @@ MOST_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
 
-def finite(what: str, given: ArrayLike, size: int) -> Floats:
-    """A copy of `given`, (size,). Raises ValueError, which says `what` it is, for anything but so
-    many finite numbers."""
-    value = np.array(given, float)
+def finite(name: str, values: ArrayLike, size: int) -> Floats:
+    """Copy a vector and check it.
+
+    Args:
+        name: The vector's name, for the message.
+        values: The vector, (size,).
+        size: How many numbers it must have.
+
+    Returns:
+        The copy, (size,).
+
+    Raises:
+        ValueError: If there are not `size` numbers, or some are not finite.
+    """
+    value = np.array(values, float)
     if value.shape != (size,) or not np.isfinite(value).all():
-        raise ValueError(f"{what} = {value} must be {size} finite numbers")
+        raise ValueError(f"{name} = {value} must be {size} finite numbers")
     return value
 
 
-def iou(one: Mask, other: Mask) -> float:
-    """Intersection over union of two masks of one shape; 1 where both are empty."""
-    union = np.count_nonzero(one | other)
-    return np.count_nonzero(one & other) / union if union else 1.0
+def iou(first: Mask, second: Mask) -> float:
+    """Compute intersection over union of two masks.
+
+    Args:
+        first: A mask of any shape.
+        second: A mask of the same shape.
+
+    Returns:
+        From 0 to 1; 1 if both are empty.
+    """
+    union = np.count_nonzero(first | second)
+    return np.count_nonzero(first & second) / union if union else 1.0
 
 
 def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tuple[Floats, Floats]:
-    """Copies in C order of what `lidarsim.engines.Engine.cast` takes, origins (P, 3) and directions
-    (P, *shape, 3). Raises ValueError for other shapes, and unless the range is from 0 on."""
+    """Check and copy the arguments of `lidarsim.engines.Engine.cast`.
+
+    Args:
+        origins: (P, 3), metres, in the world.
+        directions: (P, *shape, 3), in the world.
+        max_range_m: How far rays go, metres.
+
+    Returns:
+        Copies of origins and directions in C order, which kernels need.
+
+    Raises:
+        ValueError: If shapes differ from these, or the range is negative or NaN.
+    """
     starts, rays = np.array(origins, float, order="C"), np.array(directions, float, order="C")
     if starts.shape[1:] != (3,) or rays.shape != (len(starts), *rays.shape[1:-1], 3):
         raise ValueError(
             f"origins of shape {starts.shape} and directions of {rays.shape}; expected (P, 3) and "
             f"(P, *shape, 3)"
         )
+    # not `< 0`, so that NaN is refused, too
     if not max_range_m >= 0:
         raise ValueError(f"max_range_m = {max_range_m}: expected metres from 0 on")
     return starts, rays
@@ -57,9 +88,9 @@ def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tu
 class GridSpec:
     """An axis-aligned grid of cubic voxels, x y z in that order, z up.
 
-    Voxel (i, j, k) of a grid with least corner `origin` holds the points p for which
-    ``floor((p - origin) / voxel_m)`` is (i, j, k), in float64; its centre is
-    ``origin + (i + 0.5, j + 0.5, k + 0.5) * voxel_m``.
+    Voxel (i, j, k) of a grid with least corner `origin` holds the points p for which ``floor((p -
+    origin) / voxel_m)`` is (i, j, k), in float64; its centre is ``origin + (i + 0.5, j + 0.5, k +
+    0.5) * voxel_m``.
     """
 
     shape: tuple[int, int, int] = number((80, 80, 40), least=1, most=MOST_EDGE)
@@ -86,17 +117,26 @@ class GridSpec:
         return np.array(self.shape, float) * self.voxel_m
 
     def origin_at(self, position: ArrayLike) -> Floats:
-        """Least corner, (3,) in the world, of the grid centred on `position` (3,)."""
+        """Compute the least corner (3,), in the world, of the grid centred on `position` (3,),
+        metres."""
         return np.asarray(position, float) - self.extent_m / 2
 
     def index(self, points: ArrayLike, origin: ArrayLike) -> Ints:
-        """Indices (..., 3) of the voxels that hold `points` (..., 3), world metres; they may lie
-        outside the grid."""
+        """Compute the indices of the voxels that hold points.
+
+        Args:
+            points: (..., 3), metres, in the world.
+            origin: (3,): the grid's least corner in the world, metres.
+
+        Returns:
+            (..., 3); they may lie outside the grid.
+        """
         relative = np.asarray(points, float) - np.asarray(origin, float)
+        # floor before the conversion, which would round negative numbers towards 0
         return np.floor(relative / self.voxel_m).astype(np.int64)
 
     def centres(self, origin: ArrayLike) -> Floats:
-        """Voxel centres, (*shape, 3), world metres."""
+        """Compute voxel centres (*shape, 3), metres, in the world."""
         steps = np.stack(
             np.meshgrid(*(np.arange(n) + 0.5 for n in self.shape), indexing="ij"), axis=-1
         )

@@ -1,13 +1,12 @@
-"""`kernel`: numba's njit, imported with the first call of a kernel, and with a cache that cannot go
+"""`kernel`: numba's njit, imported with the first call of a kernel, and with a cache that is never
 stale.
 
 Numba keys a cached kernel on its own file alone, so a kernel that calls one in another file would
 go on running the old callee after an update. Here the cache lies in a folder named after numba's
 version and the content of every file with kernels; a constant that a kernel uses must therefore
 stand in such a file. The folder is made under the environment's SCENEGEN_CACHE, XDG_CACHE_HOME or
-~/.cache, in that order, and used only where nobody but this user may write: numba unpickles what
-lies there.
-"""
+~/.cache, in that order. It is used only if no other user may write to it: numba unpickles the files
+in it."""
 
 import gc
 import hashlib
@@ -24,7 +23,7 @@ ROOT = 0
 """The system's own user."""
 F = TypeVar("F", bound=Callable[..., Any])
 _LOCK = threading.RLock()
-"""Numba's settings are changed by one thread at a time."""
+"""Held while numba's settings, which all threads share, are changed."""
 
 
 def kernel(function: F) -> F:
@@ -33,8 +32,7 @@ def kernel(function: F) -> F:
 
 
 class _Kernel:
-    """A function that becomes numba's when it is first called, or when a kernel that calls it is
-    compiled."""
+    """A function that numba compiles on its first call, or with the first kernel that calls it."""
 
     def __init__(self, function: Callable[..., Any]):
         update_wrapper(self, function)
@@ -51,8 +49,10 @@ class _Kernel:
 
     @cached_property
     def callee(self) -> Any:
-        """Numba's dispatcher for kernels that call this one: without the part by which Python
-        would, unless that is there."""
+        """Numba's dispatcher for kernels that call this one.
+
+        It lacks the wrapper for calls from Python, which takes time to compile, unless that exists
+        already."""
         if "compiled" in self.__dict__:
             return self.compiled
         with _LOCK:
@@ -60,18 +60,18 @@ class _Kernel:
 
 
 def _compiled(function: Callable[..., Any], **options: bool) -> Any:
-    """`function` as numba's dispatcher, which compiles it for each type of arguments that it
-    meets."""
+    """Make numba's dispatcher of `function`, which compiles it for each combination of types."""
     numba = _numba()
     package = function.__module__.split(".")[0]
-    # else compiled anew by every process: slower to start, but right
-    kept = not cache_trouble(package)
+    # without a folder that can be trusted, every process compiles anew
+    cached = not cache_trouble(package)
     # numba does not look at options when it looks a kernel up: each has a folder of its own
     folder = cache_folder(package).joinpath(*options)
+    # numba reads the folder when the dispatcher is made, and from nowhere else
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
     try:
         return numba.njit(
-            cache=kept, error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options
+            cache=cached, error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options
         )(function)
     finally:
         numba.config.CACHE_DIR = previous
@@ -79,14 +79,16 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Any:
 
 @cache
 def _numba() -> Any:
-    """Numba, which is told that a kernel called by another one stands for its dispatcher."""
+    """Import numba, and register that it types a `_Kernel` in another kernel's body as its
+    dispatcher."""
     import numba
     from numba.core import event
     from numba.extending import typeof_impl
 
     class Uncollected(event.Listener):
-        """Keeps the garbage collector off while kernels are compiled, which takes an eighth less
-        time then. Numba's lock is held meanwhile."""
+        """Turns the garbage collector off during compilation, which then takes an eighth less time.
+
+        Numba holds its lock meanwhile."""
 
         depth = 0
 
@@ -101,10 +103,11 @@ def _numba() -> Any:
             if self.depth == 0 and self.collects:
                 gc.enable()
 
+    # compilation makes many objects, none of which are garbage until it ends
     event.register("numba:compile", Uncollected())
 
     @typeof_impl.register(_Kernel)
-    def dispatcher(value: _Kernel, context: Any) -> Any:
+    def _dispatcher(value: _Kernel, context: Any) -> Any:
         return numba.types.Dispatcher(value.callee)
 
     return numba
@@ -112,20 +115,21 @@ def _numba() -> Any:
 
 @cache
 def cache_folder(package: str) -> Path:
-    """Where the kernels of `package`, as they stand on disk, are kept."""
+    """Return the folder for the kernels of `package` as its files are now."""
     import numba
 
     digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
     roots = {Path(__file__).parent, Path(sys.modules[package].__file__ or __file__).parent}
     for path in sources(*roots):
         content = path.read_bytes()
+        # only files with kernels count: others change more often, and change no machine code
         if b"lidarsim.jit" in content:
             digest.update(content)
     return cache_root() / "scenegen" / "kernels" / f"{package}-{digest.hexdigest()[:16]}"
 
 
 def sources(*roots: Path) -> list[Path]:
-    """Every Python file below `roots`, in order."""
+    """List every Python file below `roots`, sorted."""
     walks = (walk for root in roots for walk in os.walk(root, followlinks=True))
     return sorted(
         Path(folder, name) for folder, _, names in walks for name in names if name.endswith(".py")
@@ -134,12 +138,13 @@ def sources(*roots: Path) -> list[Path]:
 
 @cache
 def cache_trouble(package: str) -> str:
-    """Why the kernels of `package` cannot be kept; empty where they can, and the folder for them is
-    made."""
+    """Explain why the kernels of `package` cannot be cached; "" if they can, and their folder
+    exists."""
     folder = cache_folder(package)
     if trouble := folder_trouble(folder):
         return trouble
     try:
+        # numba unpickles these files, which runs code of whoever wrote them
         foreign = next((item for item in folder.rglob("*") if not is_ours(item.lstat())), None)
     except OSError as error:
         return f"{error.filename}: {error.strerror}"
@@ -149,35 +154,35 @@ def cache_trouble(package: str) -> str:
 
 
 def no_kernels(package: str) -> bool:
-    """Whether none of the kernels of `package` is kept yet."""
+    """Return whether no kernel of `package` is cached yet."""
     return not any(cache_folder(package).rglob("*.nbc"))
 
 
-def is_ours(found: os.stat_result) -> bool:
-    """Whether a file belongs to this user or to root."""
-    return found.st_uid in (os.geteuid(), ROOT)
+def is_ours(status: os.stat_result) -> bool:
+    """Return whether a file belongs to this user or to root."""
+    return status.st_uid in (os.geteuid(), ROOT)
 
 
 def folder_trouble(folder: Path) -> str:
-    """Why what lies in a `folder` of the cache cannot be trusted; empty where it can, and the
-    folder is made.
+    """Explain why a cache `folder` cannot be trusted; "" if it can, and it exists.
 
-    The cache's root and every folder from there on must be this user's or root's. Nobody else may
-    write to them, but to a root such as /tmp, where each may move only what is his.
-    """
+    The cache's root and every folder from there on must belong to this user or root, and nobody
+    else may write to them. A root with the sticky bit, such as /tmp, may be writable: users can
+    move only their own files in it."""
     root = cache_root()
     try:
+        # from the outermost: a folder can be swapped by whoever may write to one around it
         for level in reversed([folder, *folder.parents]):
             if not level.exists():
                 level.mkdir(mode=0o700, exist_ok=True)
             if not level.is_relative_to(root):
                 continue
-            found = level.lstat()
-            if not stat.S_ISDIR(found.st_mode):
+            status = level.lstat()
+            if not stat.S_ISDIR(status.st_mode):
                 return f"{level} is no folder"
-            if not is_ours(found):
+            if not is_ours(status):
                 return f"{level} belongs to another user"
-            if found.st_mode & 0o022 and not (level == root and found.st_mode & stat.S_ISVTX):
+            if status.st_mode & 0o022 and not (level == root and status.st_mode & stat.S_ISVTX):
                 return f"others may write to {level} (chmod go-w)"
     except OSError as error:
         return f"{error.filename}: {error.strerror}"
@@ -185,11 +190,12 @@ def folder_trouble(folder: Path) -> str:
 
 
 def cache_root() -> Path:
-    """Where all that may be made again is kept: $SCENEGEN_CACHE, or the user's cache."""
-    own, users = os.environ.get("SCENEGEN_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
-    if own:
-        return Path(own).resolve()
-    if Path(users).is_absolute():  # a relative one is void, as its specification has it
-        return Path(users).resolve()
+    """Return the folder for everything that can be made again: $SCENEGEN_CACHE, or the user's
+    cache."""
+    chosen, xdg = os.environ.get("SCENEGEN_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
+    if chosen:
+        return Path(chosen).resolve()
+    if Path(xdg).is_absolute():  # a relative one is void, as its specification has it
+        return Path(xdg).resolve()
     home = Path(os.path.expanduser("~"))  # noqa: PTH111 (Path's raises where there is no home)
     return Path(home if home.is_absolute() else os.devnull, ".cache").resolve()

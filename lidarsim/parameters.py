@@ -1,5 +1,5 @@
-"""One way to check a parameter: its bounds stand beside its default, and are checked when the
-object is made."""
+"""Parameters of dataclasses: bounds stand beside the default, and are checked when an object is
+made."""
 
 import dataclasses
 import functools
@@ -13,10 +13,11 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 MOST_RAYS = 1_000_000
 """The most rays of one scan."""
 LEAST_RANGE_M, MOST_RANGE_M = 1e-3, 1e4
-"""A range is stored in float32, which here still tells millimetres apart."""
+"""Bounds of a sensor's range, metres. Ranges are stored in float32, which here still resolves
+millimetres."""
 MIN_RETURN_M = 0.1
-"""Where a sensor's minimum range is not known: nearer returns are of its carrier, or stand for rays
-without one, metres."""
+"""The minimum range of unknown sensors, metres: nearer points are the carrier, or rays without a
+return."""
 MOST_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_TRIANGLES = 5_000_000
@@ -25,11 +26,11 @@ it: 360 MB."""
 
 
 BOUNDS = "bounds"
-"""Key of a field's metadata under which its `Bounds` stand."""
+"""Key of a field's metadata for its `Bounds`."""
 FILE = "file"
-"""Key of a field's metadata that says that a table may give the path of a file."""
+"""Key of the metadata of fields for which a table may give the path of a file."""
 MOST_TEXT = 300
-"""The most characters of what a sensor says of itself."""
+"""The most characters of a sensor's description of itself."""
 MOST_SHOWN = 60
 """The most characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}
@@ -37,7 +38,7 @@ _COUNTED = {2: "two", 3: "three", 4: "four"}
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What a number, or each number of a tuple, may be. Every number is finite, whatever else."""
+    """The values that a number, or each number of a tuple, may have. All must be finite."""
 
     least: float = -math.inf
     """The least value allowed."""
@@ -54,7 +55,7 @@ class Bounds:
     leaves that to `otherwise` of `check`, and without it means False."""
 
     def hold(self, value: float) -> bool:
-        """Whether `value` lies within the bounds."""
+        """Return whether `value` lies within the bounds."""
         try:
             finite = math.isfinite(value)
         except OverflowError:  # a whole number beyond all floats
@@ -63,111 +64,141 @@ class Bounds:
         return inside and (not self.whole or float(value).is_integer())
 
     def __str__(self) -> str:
-        """The bounds in words: "a whole number from 1 to 1000"."""
+        """Describe the bounds: "a whole number from 1 to 1000"."""
         return self.words(whole=self.whole)
 
     def words(self, *, whole: bool, count: int = 1) -> str:
-        """The bounds in words, of one number or of each of `count`."""
-        what = f"{'whole' if whole else 'finite'} number"
+        """Describe the bounds in words.
+
+        Args:
+            whole: Whether numbers must be whole.
+            count: How many numbers a value has.
+
+        Returns:
+            A phrase such as "[low, high] with low <= high, finite numbers above 0".
+        """
+        phrase = f"{'whole' if whole else 'finite'} number"
         rising = (
             "[low, high] with low <= high,"
             if self.rising and count == 2
             else _COUNTED.get(count, str(count))
         )
-        what = f"a {what}" if count == 1 else f"{rising} {what}s"
+        phrase = f"a {phrase}" if count == 1 else f"{rising} {phrase}s"
         if math.isfinite(self.least) and math.isfinite(self.most):
-            return f"{what} from {self.least:.12g} to {self.most:.12g}"
+            return f"{phrase} from {self.least:.12g} to {self.most:.12g}"
         bounds = {
             "above": self.above,
             "at least": self.least,
             "below": self.below,
             "at most": self.most,
         }
-        said = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
-        return f"{what} {' and '.join(said)}".rstrip()
+        limits = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
+        return f"{phrase} {' and '.join(limits)}".rstrip()
 
 
 def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:
-    """A dataclass field with a `default`, whose value, or each number in it, keeps `bounds`; see
-    `Bounds`."""
+    """Define a dataclass field whose value, or each number in it, keeps bounds.
+
+    Args:
+        default: The field's default.
+        **bounds: Fields of `Bounds`.
+
+    Returns:
+        The field.
+    """
     return field(default=default, metadata={BOUNDS: Bounds(**bounds)})
 
 
 def check(
     parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name, value: Bounds()
 ) -> None:
-    """Raise ValueError, naming the field, where a value in the dataclass `parameters` is not of the
-    type that its annotation says (numbers, bool, str, Literal, dataclasses, and tuples or unions of
-    these) or is not within its bounds.
+    """Check every field of a dataclass against its annotation and its bounds.
 
-    A field of a file is passed over. One without bounds of its own has those that `otherwise` gives
-    for its name and value; by default, its numbers must be finite. Where `otherwise` says that its
-    values rise, they do also within bounds of its own, unless these say `rising=False`. An angle in
-    degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°. Values
-    of the right kind become the annotated type: a list a tuple, a whole float an int.
+    Annotations may be numbers, bool, str, Literal, dataclasses, and tuples or unions of these.
+    Values of the right kind become the annotated type: a list a tuple, a whole float an int. An
+    angle in degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and not
+    6.283°. A field that names a file is not checked.
+
+    Args:
+        parameters: The dataclass; converted values are set in place, also if it is frozen.
+        otherwise: Gives the bounds of a field without bounds of its own, from its name and value;
+            by default, numbers must be finite. If it says that values rise, they must do so also
+            within bounds of the field's own, unless these say `rising=False`.
+
+    Raises:
+        ValueError: If a value has another type or is out of bounds; the message names the field.
     """
     kind_of: type = type(parameters)
     hints = _hints(kind_of)
     for item in dataclasses.fields(parameters):
         if FILE in item.metadata:
             continue
-        given = getattr(parameters, item.name)
+        raw = getattr(parameters, item.name)
         kind = hints.get(item.name, Any)
-        usual = otherwise(item.name, _plain(given))
+        usual = otherwise(item.name, _plain(raw))
         bounds: Bounds = item.metadata.get(BOUNDS, usual)
         if bounds.rising is None and usual.rising:
             # bounds of a field's own say how far a range may reach, and leave it a range
             bounds = dataclasses.replace(bounds, rising=True)
         try:
-            value = _read(given, kind, bounds)
+            value = _read(raw, kind, bounds)
         except _UnfitError:
-            such = (
+            example = (
                 f", such as {shown(item.default)}"
                 if isinstance(item.default, tuple) and item.default
                 else ""
             )
             raise ValueError(
-                f"{item.name} = {shown(given)}: expected {_words(kind, bounds)}{such}"
+                f"{item.name} = {shown(raw)}: expected {_words(kind, bounds)}{example}"
             ) from None
         if item.name.endswith("_deg") and isinstance(value, float) and (turn := _radians(value)):
             raise ValueError(
-                f"{item.name} = {shown(given)}: is {turn} degrees in radians; expected degrees"
+                f"{item.name} = {shown(raw)}: is {turn} degrees in radians; expected degrees"
             )
-        if value is not given:
+        # frozen dataclasses are checked, too
+        if value is not raw:
             object.__setattr__(parameters, item.name, value)
 
 
 class Checked:
-    """The base of a dataclass whose values are held against their bounds when it is made."""
+    """Base of a dataclass whose fields are checked when it is made."""
 
     def __post_init__(self) -> None:
         check(self)
 
 
 def _radians(value: float) -> int:
-    """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a
-    turn."""
+    """Return the multiple of 15 degrees that `value` is in radians, within 0.1 %, or 0."""
     steps = round(value / (math.pi / 12))
+    # 24 steps are a turn; larger values are no likely angles in radians
     is_near = abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3)
     return 15 * steps if is_near else 0
 
 
-def check_text(name: str, given: str) -> None:
-    """Raise ValueError, with the `name` of the text `given`, unless it is short and printable."""
-    if len(given) > MOST_TEXT or not given.isprintable():
+def check_text(name: str, text: str) -> None:
+    """Check that a text is short and printable.
+
+    Args:
+        name: The text's name, for the message.
+        text: The text.
+
+    Raises:
+        ValueError: If it has more than `MOST_TEXT` characters, or unprintable ones.
+    """
+    if len(text) > MOST_TEXT or not text.isprintable():
         raise ValueError(
-            f"{name} = {shown(given)}: expected {MOST_TEXT} printable characters at most"
+            f"{name} = {shown(text)}: expected {MOST_TEXT} printable characters at most"
         )
 
 
 def shown(value: Any) -> str:
-    """A value for an error's line: escaped, tuples as lists, and cut where it is long."""
+    """Represent a value in an error's line: escaped, tuples as lists, cut if it is long."""
     try:
-        said = ascii(list(value) if isinstance(value, tuple) else value)
-        said = " ".join(map(str.strip, said.splitlines()))  # an array has several lines
+        text = ascii(list(value) if isinstance(value, tuple) else value)
+        text = " ".join(map(str.strip, text.splitlines()))  # an array has several lines
     except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
         return f"a value of type {type(value).__name__}"
-    return said if len(said) <= MOST_SHOWN else f"{said[: MOST_SHOWN - 3]}..."
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 class _UnfitError(Exception):
@@ -176,26 +207,28 @@ class _UnfitError(Exception):
 
 @functools.cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The fields' annotations; none where some can be resolved by a type checker alone."""
+    """Return the fields' annotations; none if some can be resolved only by a type checker."""
     try:
         return get_type_hints(kind)
     except NameError:
         return {}
 
 
-def _plain(given: Any) -> Any:
-    """NumPy's scalars and arrays as Python's numbers and lists; anything else as it is."""
-    return given.tolist() if hasattr(given, "tolist") else given
+def _plain(value: Any) -> Any:
+    """Convert NumPy's scalars and arrays to Python's numbers and lists; return other values
+    unchanged."""
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
-    """`given` as a value of the type `kind` within `bounds`. Raises _UnfitError."""
-    value = _plain(given)
+def _read(raw: Any, kind: Any, bounds: Bounds) -> Any:
+    """Convert `raw` to the type `kind` within `bounds`. Raises _UnfitError if it does not fit."""
+    value = _plain(raw)
     origin, options = get_origin(kind), get_args(kind)
     if kind in (bool, str, NoneType):
         fits = isinstance(value, kind)
     elif kind in (int, float):
         bounds = dataclasses.replace(bounds, whole=bounds.whole or kind is int)
+        # bool is a subclass of int
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         fits = is_number and bounds.hold(value)
         value = kind(value) if fits else value
@@ -205,16 +238,17 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
     elif origin is tuple:
         return _read_tuple(value, options, bounds)
     elif origin in (Union, UnionType):
+        # the first type of a union that fits wins
         for option in options:
             with suppress(_UnfitError):
-                return _read(given, option, bounds)
+                return _read(raw, option, bounds)
         fits = False
     elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        value, fits = given, isinstance(given, kind)
+        value, fits = raw, isinstance(raw, kind)
     else:
         # an annotation that cannot be resolved, or a type of somebody's own: only numbers are held
         # against bounds, and where there are bounds, there must be some
-        value, numbers = given, _numbers(value)
+        value, numbers = raw, _numbers(value)
         fits = all(map(bounds.hold, numbers)) and (bool(numbers) or bounds == Bounds())
         fits = fits and not (bounds.rising and numbers[:1] > numbers[-1:])
     if not fits:
@@ -223,7 +257,7 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
 
 
 def _read_tuple(value: Any, kinds: tuple[Any, ...], bounds: Bounds) -> tuple[Any, ...]:
-    """A list or tuple as a tuple of `kinds`, or of any length where these are (kind, ...)."""
+    """Convert a list or tuple to a tuple of `kinds`, or of any length if these are (kind, ...)."""
     if not isinstance(value, list | tuple):
         raise _UnfitError
     if kinds[1:] == (...,):
@@ -237,16 +271,16 @@ def _read_tuple(value: Any, kinds: tuple[Any, ...], bounds: Bounds) -> tuple[Any
 
 
 def _numbers(value: Any) -> list[float]:
-    """The numbers in a value of any type; none where it is something else."""
+    """List the numbers in a value of any type."""
     if isinstance(value, bool | str) or value is None:
         return []
     if isinstance(value, Iterable):
-        return [one for part in value for one in _numbers(part)]
+        return [leaf for part in value for leaf in _numbers(part)]
     return [value] if isinstance(value, int | float) else []
 
 
 def _words(kind: Any, bounds: Bounds) -> str:
-    """What `_read` takes, in words."""
+    """Describe the values that `_read` accepts."""
     origin, options = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         return f"an instance of {kind.__name__}"

@@ -1,4 +1,4 @@
-"""Where a body is and how it is turned."""
+"""Position and attitude of a body."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from lidarsim.jit import kernel
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A body's position and attitude in the world frame, z up. Raises ValueError for a quaternion
-    not of length 1."""
+    """A body's position and attitude in the world frame, z up. Raises ValueError if the
+    quaternion's length is not 1."""
 
     position: Floats
     """(3,), metres."""
@@ -37,68 +37,106 @@ class Pose:
 
     @classmethod
     def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":
-        """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from
-        above."""
+        """Make the pose of a level body.
+
+        Args:
+            position: (3,), metres, in the world.
+            yaw_rad: Turn about the vertical, counter-clockwise seen from above.
+
+        Returns:
+            The pose.
+        """
         sine, cosine = sin_cos(0.5 * yaw_rad)
         return cls(np.asarray(position, float), np.array([cosine, 0.0, 0.0, sine]))
 
     @classmethod
     def facing(cls, position: ArrayLike, direction: ArrayLike) -> "Pose":
-        """A body held level that looks along `direction` (2,), x and y in the world, of any length.
+        """Make the pose of a level body that looks along a direction.
 
-        The half-angle formulas give the quaternion by square roots, without an angle, so with the
-        same bits on every processor. Raises ValueError for a direction without length.
+        The half-angle formulas give the quaternion by square roots, without an angle, and so with
+        the same bits on every processor.
+
+        Args:
+            position: (3,), metres, in the world.
+            direction: (2,), x and y in the world, of any length.
+
+        Returns:
+            The pose.
+
+        Raises:
+            ValueError: If the direction has no length, or an infinite one.
         """
         x, y = (float(part) for part in np.asarray(direction, float))
         length = math.sqrt(x * x + y * y)
         if not 0.0 < length < math.inf:
             raise ValueError(f"pose: direction = [{x:g}, {y:g}], expected a finite length above 0")
+        # cos²(yaw/2) = (1 + cos yaw) / 2. The larger of sine and cosine is taken by the root, the
+        # other by sin yaw = 2 sin cos, so that no digits cancel
         large = math.sqrt(0.5 + 0.5 * abs(x) / length)
         small = 0.5 * y / length / large
         w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
         return cls(np.asarray(position, float), np.array([w, 0.0, 0.0, z]))
 
     def to_body(self, points: Floats) -> Floats:
-        """Points (..., 3) of the world, metres, in the body's frame."""
+        """Transform points (..., 3) from the world, metres, to the body's frame."""
         return rotate(self.back, points - self.position)
 
     @property
     def back(self) -> Floats:
-        """The quaternion that turns the other way, (4,): from the world's axes to the body's."""
+        """The inverse rotation as a quaternion, (4,): from the world's axes to the body's."""
         return self.quaternion * (1.0, -1.0, -1.0, -1.0)
 
 
 def chained(parent: Pose, child: Pose) -> Pose:
-    """The pose in the world of what stands at `child` in the frame of `parent`."""
-    import mujoco  # which readers do without
+    """Compose two poses.
+
+    Args:
+        parent: A frame's pose in the world.
+        child: A pose in that frame.
+
+    Returns:
+        The child's pose in the world.
+    """
+    import mujoco  # here, since reading datasets must not load it
 
     turned = np.empty(4)
     mujoco.mju_mulQuat(turned, parent.quaternion, child.quaternion)
     position = parent.position + rotate(parent.quaternion, child.position)
+    # products of unit quaternions drift from length 1 by rounding
     return Pose(position, unit(turned))
 
 
 def unit(quaternion: Floats) -> Floats:
-    """A quaternion (4,) of length 1."""
+    """Scale a quaternion (4,) to length 1."""
     return quaternion / np.sqrt((quaternion**2).sum())
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
-    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z. Raises ValueError for
-    arrays of other shapes, such as points with an intensity."""
-    given = np.ascontiguousarray(vectors, float).view()
-    if given.shape[-1:] != (3,):
-        raise ValueError(f"vectors of shape {given.shape}, expected (..., 3)")
+    """Rotate vectors.
+
+    Args:
+        quaternion: (4,), w x y z, of length 1.
+        vectors: (..., 3).
+
+    Returns:
+        The rotated vectors, (..., 3).
+
+    Raises:
+        ValueError: If vectors have another shape, such as points with an intensity.
+    """
+    array = np.ascontiguousarray(vectors, float).view()
+    if array.shape[-1:] != (3,):
+        raise ValueError(f"vectors of shape {array.shape}, expected (..., 3)")
     # the kernel is compiled once, for what may be written to and for what may not
-    given.setflags(write=False)
-    turned = np.empty(given.shape)
-    _rotate(np.array(quaternion, float), given.reshape(-1, 3), turned.reshape(-1, 3))
+    array.setflags(write=False)
+    turned = np.empty(array.shape)
+    _rotate(np.array(quaternion, float), array.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
 
 
 @kernel
 def _rotate(quaternion, vectors, turned):
-    """Written out term by term, so that the result does not depend on which BLAS is installed."""
+    """Multiply by the rotation matrix, term by term: products of BLAS differ between processors."""
     w, x, y, z = quaternion
     for n in range(len(vectors)):
         a, b, c = vectors[n]

@@ -1,12 +1,11 @@
-"""Things by name: those that come with the toolkit, and a user's own as ``module:Object``.
+"""Registries: objects by name, built in or a user's own as ``module:Object``.
 
     SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"})
     SENSORS.find("raster")  # imported now, and not before
-    SENSORS.find("my_sensors:Rosette")  # from my_sensors.py where the user stands, or installed
+    SENSORS.find("my_sensors:Rosette")  # from my_sensors.py in the current folder, or installed
 
-The command line reads the names alone, so a registry stands where importing it is cheap: most often
-in the `__init__.py` of the package whose modules it names.
-"""
+The command line reads only the names, so a registry lies in a module that is cheap to import: most
+often in the `__init__.py` of the package whose modules it names."""
 
 import difflib
 import importlib
@@ -22,24 +21,34 @@ from typing import Any
 MOST_NAMED = 100
 """Characters of a name that an error repeats."""
 MOST_SUGGESTED = 4
-"""Names of which an error asks whether one was meant."""
+"""The most names that an error suggests."""
 
 
 @dataclass(frozen=True)
 class Registry:
-    """Objects of one sort, each imported when it is first asked for."""
+    """Objects of one sort, each imported when it is first used."""
 
     what: str
     """The sort in one word, for errors: "sensor"."""
     builtin: Mapping[str, str]
     """Names of those that come with the toolkit, each with its ``module:Object``."""
     needs: Mapping[str, str] = field(default_factory=dict)
-    """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins,
-    …) -> ranges"}."""
+    """Attributes that every object must have, each with a description, such as {"cast":
+    "a method: (origins, …) -> ranges"}."""
 
     def find(self, name: str) -> Any:
-        """The object called `name`. Raises ValueError, in one line, for a name that leads to none,
-        or to one that lacks what it needs."""
+        """Import the object called `name`.
+
+        Args:
+            name: A built-in name, or ``module:Object``.
+
+        Returns:
+            The object.
+
+        Raises:
+            ValueError: If there is no such object, its module cannot be imported, or it lacks an
+                attribute of `needs`. The message has one line.
+        """
         name = str(name)
         module, colon, attribute = self.builtin.get(name, name).partition(":")
         if not colon or not all(map(str.isidentifier, (attribute, *module.split(".")))):
@@ -58,12 +67,20 @@ class Registry:
         return chosen
 
     def unknown(self, name: str) -> str:
-        """What to say of a `name` that is none."""
+        """Word the error for an unknown `name`, with a suggestion."""
         hint = suggestion(name, self.builtin)
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:
-        """Raise ValueError, naming what is missing, unless `chosen` has all that it needs."""
+        """Check that an object has every attribute of `needs`.
+
+        Args:
+            chosen: The object.
+            name: Its name, for the message.
+
+        Raises:
+            ValueError: If an attribute is missing; the message names it.
+        """
         for attribute, meaning in self.needs.items():
             # a dataclass's field without a default is no attribute of the class yet; no value is
             # asked for, since rays take time to compute
@@ -71,28 +88,29 @@ class Registry:
                 raise ValueError(f"{self.what} {name}: lacks `{attribute}`, {meaning}")
 
     def _imported(self, module: str, name: str) -> Any:
-        """A user's module: an installed one, or a file in the folder where the user stands."""
-        here = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
-        if here not in sys.path:
+        """Import a user's module: an installed one, or a file in the current folder."""
+        folder = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
+        if folder not in sys.path:
             # last, so that no file of the user's takes the place of a library's
-            sys.path.append(here)
-        _own.update({here, module.partition(".")[0]})
+            sys.path.append(folder)
+        _users_code.update({folder, module.partition(".")[0]})
         try:
             if importlib.util.find_spec(module) is None:
                 raise ModuleNotFoundError(module, name=module.partition(".")[0])
             return importlib.import_module(module)
-        except (Exception, SystemExit) as error:
+        except (Exception, SystemExit) as error:  # a script may call sys.exit
+            # else a module that the user's own imports is missing
             if isinstance(error, ModuleNotFoundError) and module.startswith(str(error.name)):
                 raise ValueError(
                     f"{self.what} {name}: there is no module {module}, neither installed nor in "
-                    f"{here}"
+                    f"{folder}"
                 ) from None
-            at = f" ({line})" if (line := own_line(error)) else ""
-            raise ValueError(f"{self.what} {name}: importing it fails{at}: {error!r}") from None
+            place = f" ({line})" if (line := own_line(error)) else ""
+            raise ValueError(f"{self.what} {name}: importing it fails{place}: {error!r}") from None
 
 
 def _defined(module: ModuleType) -> list[str]:
-    """Public names that a module defines, and does not import from another."""
+    """List public names that a module defines, without those that it imports."""
     return [
         name
         for name, value in vars(module).items()
@@ -104,26 +122,35 @@ def _defined(module: ModuleType) -> list[str]:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """What to say after a `name` that is none of those `known`: the nearest of them, or all."""
+    """Suggest a known name.
+
+    Args:
+        name: The unknown name.
+        known: The known names.
+
+    Returns:
+        A question with the nearest names, or the list of all.
+    """
     known = list(known)
     plain = name.lower().replace("-", "")
-    near = [one for one in known if plain and plain in one.replace("-", "")]
+    near = [entry for entry in known if plain and plain in entry.replace("-", "")]
     if not 0 < len(near) <= MOST_SUGGESTED:
+        # cut, for the comparison takes quadratic time
         near = difflib.get_close_matches(name[:MOST_NAMED], known, n=1)
     return f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(known)}"
 
 
-_own: set[str] = set()
+_users_code: set[str] = set()
 """Modules that a user named, and the folders where they stood."""
 
 
 def own_line(error: BaseException) -> str:
-    """Where the last of a user's own code stands that `error` came through: "line 3 of
-    my_methods.py"; "" for none."""
-    found = ""
+    """Locate an error in a user's own code: "line 3 of my_methods.py"; "" if it arose elsewhere."""
+    location = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         file = frame.f_code.co_filename
         package = str(frame.f_globals.get("__name__")).partition(".")[0]
-        if package in _own or os.path.dirname(file) in _own:  # noqa: PTH120
-            found = f"line {line} of {os.path.relpath(file)}"
-    return found
+        if package in _users_code or os.path.dirname(file) in _users_code:  # noqa: PTH120
+            # the last frame wins: it is nearest to the error
+            location = f"line {line} of {os.path.relpath(file)}"
+    return location

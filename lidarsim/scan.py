@@ -13,18 +13,21 @@ from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
 
 MIN_REPEATED, REPEATED_SHARE = 20, 0.01
-"""How many points of a scan, and which share of all, must be one and the same to be no returns."""
+"""Equal points are not returns if they are this many, and this share of all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays
-    follows. Raises ValueError for ranges that are not a number from 0 on, or inf, for each ray, and
-    for a `lidar` that is no sensor."""
+    """The returns of a LiDAR at a pose. Only `ranges` is measured; the rays follow from pose and
+    sensor.
+
+    Raises ValueError if `ranges` are not one number from 0 on, or inf, for each ray, or `lidar` is
+    not a sensor."""
 
     ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
+    """The sensor's pose in the world."""
     lidar: Sensor
 
     def __post_init__(self) -> None:
@@ -43,15 +46,26 @@ class Scan:
         return rotate(self.pose.quaternion, self.lidar.directions_body)
 
     def points(self) -> Floats:
-        """The returns, (M, 3) in the world, in ray order."""
+        """Compute the returns' points, (M, 3) in the world, metres, in ray order."""
         hit = np.isfinite(self.ranges)
+        # float32 would round places far from the world's origin to millimetres
         ranges = self.ranges[hit].astype(np.float64)[:, None]
         return self.pose.position + ranges * self.directions[hit]
 
 
 def mounted(lidar: Sensor, pose: Pose) -> Pose:
-    """The pose of the sensor on a body at `pose`: moved by the sensor's `lever_arm_m`, if it has
-    one. Raises ValueError where it is none."""
+    """Compute the pose of a sensor on a body, moved by the sensor's `lever_arm_m` if it has one.
+
+    Args:
+        lidar: The sensor.
+        pose: The body's pose.
+
+    Returns:
+        The sensor's pose; the same attitude.
+
+    Raises:
+        ValueError: If `lidar` is not a sensor.
+    """
     check_sensor(lidar)
     if any(arm := getattr(lidar, "lever_arm_m", ())):
         return Pose(pose.position + rotate(pose.quaternion, [arm])[0], pose.quaternion)
@@ -59,11 +73,18 @@ def mounted(lidar: Sensor, pose: Pose) -> Pose:
 
 
 def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
-    """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of
-    the sensor, as `mounted` has it.
+    """Scan the engine's world with a sensor on a body.
 
-    Raises ValueError where `lidar` is no sensor, and where the engine gives what are no ranges of
-    its rays.
+    Args:
+        engine: Knows the world.
+        lidar: The sensor.
+        pose: The body's pose; the scan's pose is the sensor's, see `mounted`.
+
+    Returns:
+        The scan, without noise.
+
+    Raises:
+        ValueError: If `lidar` is not a sensor, or the engine gives no valid range for each ray.
     """
     pose = mounted(lidar, pose)
     directions = rotate(pose.quaternion, lidar.directions_body)
@@ -76,7 +97,7 @@ def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
 
 
 def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
-    """Tell returns from what sensors and drivers give for rays without one.
+    """Select returns among ranges, some of which stand for rays without a return.
 
     Args:
         ranges: Metres from the sensor, of any shape.
@@ -85,6 +106,7 @@ def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
     Returns:
         Whether each range is finite, above 0, not below `min_range_m`, and below `MOST_LENGTH_M`.
     """
+    # comparisons are False for NaN, and infinity exceeds the limit
     metres = np.asarray(ranges)
     return np.asarray((metres > 0) & (metres >= min_range_m) & (metres < MOST_LENGTH_M))
 
@@ -92,11 +114,11 @@ def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
 def are_returns(
     points: Floats, sensors: ArrayLike = (0.0, 0.0, 0.0), min_range_m: float = MIN_RETURN_M
 ) -> Mask:
-    """Tell the returns among a scan's points, see `is_return`.
+    """Select the returns among a scan's points, see `is_return`.
 
-    Drivers write 0 0 0, NaN or infinity for a ray without a return. Where somebody moved the cloud
-    into another frame, the zeros lie at the sensor; where nobody says where that is, they are one
-    point that is there again and again, see `_repeated`.
+    Drivers write 0 0 0, NaN or infinity for a ray without a return. If the cloud was moved into
+    another frame, the zeros lie at the sensor; if the sensor's place is unknown, they are one point
+    that occurs again and again, see `_repeated`.
 
     Args:
         points: (N, 3), metres.
@@ -113,33 +135,41 @@ def are_returns(
 
 
 def _repeated(points: Floats) -> Mask:
-    """Which points (N, 3) are the one that many rays share to the last bit: no surface gives that.
+    """Return which points (N, 3) are the one point that many rays share bit for bit.
 
-    Rays without a return follow one another, so that only points like the one before them are
-    counted. Two echoes of a ray may be alike, but those of each ray are another pair.
-    """
+    No surface gives such points; drivers write them for rays without a return. Rays without a
+    return follow one another, so only points equal to the one before them are counted. The two
+    echoes of a ray may be equal, but those of another ray are another pair."""
     alike = points[1:][(points[1:] == points[:-1]).all(axis=1)]
     if len(alike) < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
         return np.zeros(len(points), bool)
     places, counts = np.unique(alike, axis=0, return_counts=True)
+    # `alike` holds all repeated points; the test above let pass what several of them share
     if counts.max() < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
         return np.zeros(len(points), bool)
     return np.asarray((points == places[counts.argmax()]).all(axis=1))
 
 
 def check_ranges(ranges: NDArray[Any], lidar: Sensor, giver: str) -> None:
-    """Check ranges of any shape, metres, that somebody's code gave; the error names the `giver`.
+    """Check ranges that code outside this package gave.
 
-    Raises ValueError unless each, as the float32 that a scan keeps, lies from 0 to the sensor's
-    range, or is inf.
+    Args:
+        ranges: Metres, of any shape.
+        lidar: The sensor that they are of.
+        giver: The name of the code, for the message.
+
+    Raises:
+        ValueError: Unless each range, rounded to float32 as a scan stores it, lies from 0 to the
+            sensor's range, or is inf.
     """
-    most = lidar.max_range_m
+    limit = lidar.max_range_m
     with np.errstate(over="ignore"):
-        kept = ranges.astype(np.float32)
+        stored = ranges.astype(np.float32)
     if wrong := np.count_nonzero(
-        ~((kept >= 0) & ((kept <= np.float32(most)) | np.isposinf(ranges)))
+        # the limit is rounded as the ranges are: 0.1 in float32 exceeds 0.1
+        ~((stored >= 0) & ((stored <= np.float32(limit)) | np.isposinf(ranges)))
     ):
         raise ValueError(
-            f"{giver} gave {wrong} ranges that are not from 0 to {most:g} m; expected metres, or "
+            f"{giver} gave {wrong} ranges that are not from 0 to {limit:g} m; expected metres, or "
             f"inf for no return"
         )

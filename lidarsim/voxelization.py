@@ -1,4 +1,4 @@
-"""Scans become two grids: the voxels that hold returns, and the voxels that rays crossed."""
+"""Voxelization: scans become the voxels that hold returns, and the voxels that rays crossed."""
 
 import math
 from collections.abc import Sequence
@@ -22,8 +22,7 @@ corners is less."""
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrid:
-    """What one scan, or several, tell about a grid. A voxel neither free nor observed is
-    unknown."""
+    """The state of a grid after scans. A voxel that is neither free nor observed is unknown."""
 
     observed: Mask
     """(*shape): holds at least one return."""
@@ -35,26 +34,43 @@ class ObservedGrid:
 
 
 def unknown_grid(grid: GridSpec, origin: Floats) -> ObservedGrid:
-    """A grid of which nothing is known yet."""
+    """Make a grid in which every voxel is unknown.
+
+    Args:
+        grid: Its shape and voxels.
+        origin: (3,): its least corner in the world, metres.
+
+    Returns:
+        The grid; its arrays may be written to.
+    """
     observed, free = np.zeros((2, *grid.shape), bool)
     return ObservedGrid(observed, free, origin)
 
 
 def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> ObservedGrid:
-    """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
-    given.
+    """Sort a scan into a grid.
 
-    Returns outside the grid are dropped; the rays that led to them still clear the voxels on their
-    way. Free space is found by walking every ray from voxel boundary to voxel boundary (Amanatides
-    and Woo 1987), not by sampling. Raises ValueError for a `scan` that is none, and for an `origin`
-    that is no point.
+    Returns outside the grid are dropped, but their rays still clear the voxels on their way. Free
+    space is found by walking every ray from voxel boundary to voxel boundary (Amanatides and Woo
+    1987), not by sampling.
+
+    Args:
+        scan: The scan.
+        grid: Shape and voxels of the grid.
+        origin: (3,): the grid's least corner in the world, metres; None centres it on the sensor.
+
+    Returns:
+        Observed and free voxels.
+
+    Raises:
+        ValueError: If `scan` is not a Scan, or `origin` is not three finite numbers.
     """
     if not isinstance(scan, Scan):
         raise ValueError(f"scan = {shown(scan)}: expected a Scan, such as lidarsim.cast gives")
     position = scan.pose.position
     corner = finite("origin", grid.origin_at(position) if origin is None else origin, 3)
     directions = scan.directions.reshape(-1, 3)
-    found = unknown_grid(grid, corner)
+    marked = unknown_grid(grid, corner)
     _walk(
         position,
         directions,
@@ -62,56 +78,66 @@ def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> Obs
         scan.lidar.max_range_m,
         corner,
         grid.voxel_m,
-        found.observed,
-        found.free,
+        marked.observed,
+        marked.free,
     )
-    return found
+    return marked
 
 
 def fuse(
     scans: Sequence[Scan], grid: GridSpec, origin: ArrayLike, fusion: Fusion | None = None
 ) -> ObservedGrid:
-    """Sort several scans, in the order in which they were made, into the `grid` with least corner
-    `origin` (3,).
+    """Sort several scans into one grid.
 
-    By visibility, the order says nothing: a voxel is observed where any scan has a return in it,
-    and free where none has and some ray of any crosses it. By log-odds, see `Fusion`, each scan
+    By visibility, the order does not matter: a voxel is observed if any scan has a return in it,
+    and free if none has and a ray of any scan crosses it. By log-odds, see `Fusion`, each scan
     raises those of the voxels that it observes and lowers those that it finds free, within bounds;
     a voxel that no scan met stays unknown. Only a voxel with a return can be observed, whatever the
-    parameters, because `Fusion.occupied` is at least one half. Raises ValueError where there is no
-    scan, and for an `origin` that is no point.
+    parameters, because `Fusion.occupied` is at least one half.
+
+    Args:
+        scans: One or more, in the order in which they were made.
+        grid: Shape and voxels of the grid.
+        origin: (3,): the grid's least corner in the world, metres.
+        fusion: The rule; by visibility if None.
+
+    Returns:
+        Observed and free voxels.
+
+    Raises:
+        ValueError: If there is no scan, or `origin` is not three finite numbers.
     """
     if not scans:
         raise ValueError("no scans to fuse; expected one at least")
     seen = [voxelize(scan, grid, origin) for scan in scans]
     rule = fusion or Fusion()
     if rule.fusion == "visibility":
-        found, *others = seen
-        for one in others:
-            found.observed[one.observed] = True
-            found.free[one.free] = True
-        found.free[found.observed] = False
-        return found
-    given = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
-    hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
+        union, *later = seen
+        for part in later:
+            union.observed[part.observed] = True
+            union.free[part.free] = True
+        # last: one scan's return outweighs another's crossing
+        union.free[union.observed] = False
+        return union
+    probabilities = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
+    hit, miss, lower, upper, occupied = (log(probabilities) - log(1.0 - probabilities)).tolist()
     odds, met = np.zeros(grid.shape), np.zeros(grid.shape, bool)
-    for one in seen:
-        _weigh(
-            one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most
-        )
-        met |= one.observed | one.free
+    for part in seen:
+        arrays = part.observed.reshape(-1), part.free.reshape(-1), odds.reshape(-1)
+        _weigh(*arrays, hit, miss, lower, upper)
+        met |= part.observed | part.free
     observed = met & (odds >= occupied)
     return ObservedGrid(observed, met & ~observed, seen[0].origin)
 
 
 @kernel
-def _weigh(observed, free, odds, hit, miss, least, most):
-    """Add to log-odds what one scan says of each voxel."""
+def _weigh(observed, free, odds, hit, miss, lower, upper):
+    """Add one scan's evidence to log-odds, clamped to [lower, upper]."""
     for n in range(len(odds)):
         if observed[n]:
-            odds[n] = min(odds[n] + hit, most)
+            odds[n] = min(odds[n] + hit, upper)
         elif free[n]:
-            odds[n] = max(odds[n] + miss, least)
+            odds[n] = max(odds[n] + miss, lower)
 
 
 def sort_points(
@@ -123,36 +149,46 @@ def sort_points(
     reach_m: float = math.inf,
     into: ObservedGrid | None = None,
 ) -> ObservedGrid:
-    """Sort rays known by their returns alone, as `voxelize` does: from `sensor` (3,) to `points`
-    (N, 3), finite, in the frame of `origin`, metres. Those beyond `reach_m` clear the voxels up to
-    it and mark none; a point at the sensor clears nothing. With `into`, what that grid's arrays say
-    already stays, but that a voxel with a return is not free."""
+    """Sort rays known only by their returns, as `voxelize` does.
+
+    Args:
+        sensor: (3,), in the frame of `origin`, metres.
+        points: (N, 3), finite, in that frame, metres. A point at the sensor clears nothing.
+        grid: Shape and voxels of the grid.
+        origin: (3,): its least corner, metres.
+        reach_m: Points farther away clear the voxels up to here, and mark none.
+        into: A grid to add to, in place. Its marks stay, but voxels with a new return are not free.
+
+    Returns:
+        `into`, or a new grid.
+    """
     rays = np.asarray(points, float) - sensor
     ranges = np.sqrt((rays * rays).sum(axis=1))
-    found = into or unknown_grid(grid, origin)
-    there = ranges > 0
-    directions = rays[there] / ranges[there, None]
+    marked = into or unknown_grid(grid, origin)
+    distant = ranges > 0
+    directions = rays[distant] / ranges[distant, None]
     _walk(
         np.asarray(sensor, float),
         directions,
-        np.where(ranges > reach_m, np.inf, ranges)[there],
+        np.where(ranges > reach_m, np.inf, ranges)[distant],
         reach_m,
         origin,
         grid.voxel_m,
-        found.observed,
-        found.free,
+        marked.observed,
+        marked.free,
     )
-    return found
+    return marked
 
 
 @kernel
 def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, free):
-    """Mark `free` along every ray and `observed` at its end."""
+    """Mark `free` along every ray, then `observed` at its end."""
     nx, ny, nz = observed.shape
     observed, free = observed.reshape(-1), free.reshape(-1)
     for ray in range(len(ranges)):
         end = float(ranges[ray]) if math.isfinite(ranges[ray]) else max_range_m
         clear(position, directions[ray], end, origin, voxel_m, nx, ny, nz, free)
+    # after all rays are walked: no later ray may clear a voxel with a return
     for ray in range(len(ranges)):
         if math.isfinite(ranges[ray]):
             reach = float(ranges[ray])
@@ -164,7 +200,20 @@ def _walk(position, directions, ranges, max_range_m, origin, voxel_m, observed, 
 
 @kernel
 def cell_at(position, direction, reach, origin, voxel_m, nx, ny, nz):
-    """Number of the voxel that holds the point `reach` metres along a ray; -1 outside the grid."""
+    """Find the voxel that holds a point of a ray.
+
+    Args:
+        position: (3,): the ray's origin, metres.
+        direction: (3,), of length 1.
+        reach: The point's distance from the origin, metres.
+        origin: (3,): the grid's least corner, metres.
+        voxel_m: Edge of a voxel, metres.
+        nx, ny, nz: The grid's shape.
+
+    Returns:
+        The voxel's number in C order; -1 outside the grid.
+    """
+    # compared as floats: a far point would overflow an integer
     x = float(math.floor((position[0] + reach * direction[0] - origin[0]) / voxel_m))
     y = float(math.floor((position[1] + reach * direction[1] - origin[1]) / voxel_m))
     z = float(math.floor((position[2] + reach * direction[2] - origin[2]) / voxel_m))
@@ -175,11 +224,16 @@ def cell_at(position, direction, reach, origin, voxel_m, nx, ny, nz):
 
 @kernel
 def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
-    """Mark the voxels, of nx * ny * nz one after the other, that the segment of length `end` from
-    `position` along `direction` meets.
+    """Mark the voxels that a segment crosses.
 
-    Every crossing is computed from its boundary's own number, never by adding up steps, so that
-    errors do not grow.
+    Args:
+        position: (3,): where it begins, metres.
+        direction: (3,), of length 1.
+        end: Its length, metres.
+        origin: (3,): the grid's least corner, metres.
+        voxel_m: Edge of a voxel, metres.
+        nx, ny, nz: The grid's shape.
+        free: (nx * ny * nz,), C order: set to True in place.
     """
     sx, px, in_x, out_x = slab(position[0], origin[0], direction[0], nx, voxel_m)
     sy, py, in_y, out_y = slab(position[1], origin[1], direction[1], ny, voxel_m)
@@ -191,31 +245,35 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
     i, ux, bx, tx = enter(sx, t, px, nx)
     j, uy, by, ty = enter(sy, t, py, ny)
     k, uz, bz, tz = enter(sz, t, pz, nz)
+    # steps of the cell's number along each axis
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cell = (i * ny + j) * nz + k
     while True:
+        # Every crossing follows from its boundary's own number, never by adding up steps, so that
+        # errors do not grow. Of equal crossings one is taken at a time: the ray has no length in
+        # the voxel between, which is not marked
         if tx < ty:
             if tx < tz:
-                at, move = tx, dx
+                crossing, move = tx, dx
                 bx += ux
                 tx = (bx - sx) * px
             else:
-                at, move = tz, dz
+                crossing, move = tz, dz
                 bz += uz
                 tz = (bz - sz) * pz
         elif ty < tz:
-            at, move = ty, dy
+            crossing, move = ty, dy
             by += uy
             ty = (by - sy) * py
         else:
-            at, move = tz, dz
+            crossing, move = tz, dz
             bz += uz
             tz = (bz - sz) * pz
-        if at >= leave:
+        if crossing >= leave:
             if leave - t > TOUCH_M:
                 free[cell] = True
             return
-        if at - t > TOUCH_M:
+        if crossing - t > TOUCH_M:
             free[cell] = True
-            t = at
+            t = crossing
         cell += move

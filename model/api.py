@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.locate import locate
-from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import cores
+from scenegen.base.workers import Local
+from scenegen.dataset.collection import open_data
+from scenegen.dataset.read import AnyDataset
+from scenegen.model.bench.methods import Completed, rows_of
+from scenegen.model.bench.report import build_report
+from scenegen.model.bench.run import bench_all
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import USUAL, BenchConfig, TrainConfig
-from scenegen.model.evaluation.methods import Completed, rows_of
-from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import bench_all
+from scenegen.model.config import USUAL, BenchConfig, TrainConfig, is_own
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
-from scenegen.run import cores
-from scenegen.run.workers import Local
 
 
 def train(
@@ -44,7 +44,7 @@ def train(
         weights: A network whose weights are the first ones; random by default.
         device: "cpu", "cuda", or "auto".
         workers: Processes that read samples.
-        watcher: Who is told how the run goes, and may end it.
+        watcher: Callbacks of the run.
         settings: Fields of `NetworkConfig` (`variant`, `inputs`, `width`, …), of `LossConfig`
             (`occupancy`, `eikonal`, …) and of `TrainConfig` (`epochs`, `maps`, `batch`, `lr`, …).
 
@@ -73,8 +73,9 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
-    own = ",".join(name for name in (config.network.variant, *config.network.inputs) if ":" in name)
-    return Completer.from_pretrained(f"{own}@{folder}" if own else folder)
+    network = config.network
+    code = ",".join(filter(is_own, (network.variant, *network.inputs, *network.targets)))
+    return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
 
 
 def bench(
@@ -104,10 +105,13 @@ def bench(
     """
     config = BenchConfig(**settings)
     rows = rows_of(
-        [one if isinstance(one, str | Completer) else Completed(one) for one in _listed(methods)]
+        [
+            method if isinstance(method, str | Completer) else Completed(method)
+            for method in _listed(methods)
+        ]
         or USUAL
     )
-    measured = [Dataset(locate(name)) for name in _listed(datasets)]
+    measured = [open_data(name) for name in _listed(datasets)]
     if not measured:
         raise DatasetError("bench: no datasets; give one, or several of different kinds")
     execute = Local("", cores() if workers is None else workers)
@@ -115,17 +119,16 @@ def bench(
     return build_report(results, seed=config.seed, about={"split": config.split})
 
 
-def _samples(given: Any, split: str) -> list[Samples]:
-    """The samples of one split of all that is `given`."""
-    if isinstance(given, Mapping):
-        weights = {locate(name): weight for name, weight in given.items()}
-        return opened(weights if split == "train" else [*weights], split)
-    found, named = _listed(given), (str, Path, Dataset)
+def _samples(datasets: Any, split: str) -> list[Samples]:
+    """The samples of one split of all that `datasets` names."""
+    if isinstance(datasets, Mapping):
+        return opened(datasets if split == "train" else [*datasets], split)
+    found, named = _listed(datasets), (str, Path, AnyDataset)
     # all at once, so that two datasets that share samples are found
-    there = iter(opened([locate(one) for one in found if isinstance(one, named)], split))
+    there = iter(opened([one for one in found if isinstance(one, named)], split))
     return [next(there) if isinstance(one, named) else one for one in found]
 
 
-def _listed(given: Any) -> Sequence[Any]:
-    """What is `given` in a list, or alone."""
-    return given if isinstance(given, list | tuple) else [given]
+def _listed(value: Any) -> Sequence[Any]:
+    """A list, of one where `value` is none."""
+    return value if isinstance(value, list | tuple) else [value]

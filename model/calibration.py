@@ -10,8 +10,8 @@ import numpy as np
 
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.parameters import check, number
-from scenegen.errors import short
-from scenegen.files import Json
+from scenegen.base.errors import short
+from scenegen.base.files import Json
 
 KEY = "calibration"
 """Name of the calibration in a network's header."""
@@ -99,15 +99,16 @@ class StoredProbability:
 
 
 def away_of(denied: Any, levels: Sequence[float]) -> Floats:
-    """How far from home maps are: the share of the `levels` that what they deny is above."""
+    """How unfamiliar maps are: the share of the `levels` that their share of denied returns
+    exceeds."""
     return np.searchsorted(levels, denied) / len(levels)
 
 
 def familiar(away: Any) -> Floats:
-    """The power of the temperature that a map has, by how far from home it is: 1 at home.
+    """The power of the temperature for maps, by how unfamiliar they are: 1 for familiar ones.
 
-    Sureness that was learned at home holds there alone: elsewhere, the loss is all that tells what
-    a logit means.
+    The temperature is valid only for familiar maps. Elsewhere, only the loss says what a logit
+    means.
     """
     return np.clip((UNKNOWN - np.asarray(away)) / (UNKNOWN - HOME), 0, 1)
 
@@ -125,8 +126,8 @@ def corrected(probability: Field, class_weight: float) -> Field:
 def denial(probability: Field, observed: Mask, class_weight: float) -> Any:
     """The share of a map's `observed` voxels that are said to be free sooner than occupied, or of
     each map's, (...), from (..., X, Y, Z); 0 where nothing was observed."""
-    missed, every = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
-    return missed.sum(axis=every) / np.maximum(observed.sum(axis=every), 1)
+    missed, axes = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
+    return missed.sum(axis=axes) / np.maximum(observed.sum(axis=axes), 1)
 
 
 def corrected_logit(probability: Field, class_weight: float) -> Field:

@@ -16,14 +16,17 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, ScenegenError, printable, raised_as
-from scenegen.files import Json, read_bounded, write_whole
-from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as, short
+from scenegen.base.files import Json, write_whole
+from scenegen.base.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from scenegen.base.reading import read_bounded
 from scenegen.model.config import NetworkConfig, is_own
 from scenegen.model.network import build
 
 FORMAT = "scenegen-network"
 VERSION = 1
+STEM_STRIDE = 2
+"""The only stem there is; headers of earlier versions name it."""
 DTYPES = (torch.float32, torch.int64)
 """What weights and counts are stored as."""
 PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")
@@ -53,14 +56,14 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
     try:
         if length > MOST_HEADER_BYTES:
             raise ValueError(f"a header of {length} bytes, expected {MOST_HEADER_BYTES} at most")
-        about = json.loads(content[8 : 8 + length])["__metadata__"]["header"] if length else "{}"
-        header, tensors = dict(json.loads(about)), load(content)
+        text = json.loads(content[8 : 8 + length])["__metadata__"]["header"] if length else "{}"
+        header, tensors = dict(json.loads(text)), load(content)
     except (SafetensorError, ValueError, TypeError, KeyError, RecursionError) as error:
-        what = "is damaged, or not a network"
+        fault = "is damaged, or not a network"
         if content.startswith(PICKLES):
-            what = "is a pickled checkpoint, which could run anything when opened"
+            fault = "is a pickled checkpoint, which could run anything when opened"
         raise CheckpointError(
-            f"{path}: {what} ({printable(error)[:200]}); expected a .safetensors file"
+            f"{path}: {fault} ({printable(error)[:200]}); expected a .safetensors file"
         ) from None
     for name, tensor in tensors.items():
         if tensor.dtype not in DTYPES or tensor.ndim > 16:  # torch does not look into more than 64
@@ -95,22 +98,22 @@ def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, 
     of own code that is not in `own`.
     """
     tensors, header = load_tensors(path)
-    if (found := [header.get(name) for name in ("format", "version")]) != [FORMAT, VERSION]:
+    if (version := [header.get(name) for name in ("format", "version")]) != [FORMAT, VERSION]:
         raise CheckpointError(
-            f"{path}: format and version are {printable(found)[:100]}, this scenegen reads "
+            f"{path}: format and version are {printable(version)[:100]}, this scenegen reads "
             f"{FORMAT} {VERSION}; not a network, or of another scenegen"
         )
     try:
         config, grid = network_from(header)
         about = dict(header.get("about", {}))
-        check_own(path, own, config.variant, *config.inputs)
+        check_own(path, own, config.variant, *config.inputs, *config.targets)
         # on "meta", a network takes no memory: the file is compared before anything is made of it
         with torch.device("cpu" if is_own(config.variant) else "meta"):
             network = build(config)
-        wanted = network.state_dict()
-        if odd := sorted(tensors.keys() ^ wanted.keys()):  # torch would make up some missing ones
+        expected = network.state_dict()
+        if odd := sorted(tensors.keys() ^ expected.keys()):  # torch would make up some missing ones
             raise ValueError(f"{', '.join(odd[:3])}: there or missing")
-        for name, values in wanted.items():
+        for name, values in expected.items():
             if tensors[name].dtype != values.dtype:
                 raise ValueError(f"{name} is {tensors[name].dtype}, expected {values.dtype}")
         network.load_state_dict(tensors, assign=True)
@@ -127,19 +130,32 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
 
     A stranger's file may name any module, and importing one runs it.
     """
-    asked = {name for name in names if is_own(name)}
-    if not asked <= set(own):
-        given = printable(",".join(sorted(asked.union(own))))[:200]
+    needed = {name for name in names if is_own(name)}
+    if not needed <= set(own):
+        spelled = printable(",".join(sorted(needed.union(own))))[:200]
         raise CheckpointError(
-            f"{path}: is made of {given}, which is imported only if you name it; if you trust that "
-            f"code, give the network as {given}@{path}"
+            f"{path}: is made of {spelled}, which is imported only if you name it; if you trust "
+            f"that code, give the network as {spelled}@{path}"
         )
+
+
+def current_settings(network: Json) -> Json:
+    """The settings of a network as this version writes them: without the stem stride that versions
+    up to 0.2.0 wrote, and with targets, which they did not have.
+
+    Raises:
+        ValueError: if the network has a stem that this version does not build.
+    """
+    network = {"targets": [], "channels": [], **network}
+    if (stride := network.pop("stem_stride", STEM_STRIDE)) != STEM_STRIDE:
+        raise ValueError(f"stem_stride = {short(stride)}: networks have {STEM_STRIDE}")
+    return network
 
 
 def network_from(header: Json) -> tuple[NetworkConfig, GridSpec]:
     """The network and the grid that a header names; nothing is imported for it. Raises KeyError,
     TypeError or ValueError where it names none, or one that is too large."""
-    config = NetworkConfig(**header["network"])
+    config = NetworkConfig(**current_settings(header["network"]))
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)
     return config, grid

@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 from lidarsim.parameters import Checked, check, number
 from lidarsim.registry import Registry, suggestion
-from scenegen.errors import ScenegenError, raised_as, short
-from scenegen.limits import (
+from scenegen.base.errors import ScenegenError, raised_as, short
+from scenegen.base.limits import (
     MOST_BATCH,
+    MOST_CLASSES,
     MOST_EPOCHS,
     MOST_FEATURES,
     MOST_HEIGHT,
@@ -79,17 +80,26 @@ INPUTS = Registry(
     {name: f"scenegen.model.inputs:{name}" for name in ("observed", "free", "distance")},
 )
 """Channels that a network may take: functions of (sample or scan, grid, sensor)."""
-
+TARGETS = Registry(
+    "target",
+    {"occupancy": "scenegen.model.targets:Occupancy", "tudf": "scenegen.model.targets:Tudf"},
+)
+"""Classes of what a network may predict; see `scenegen.model.targets.Target`."""
+TAKEN = {
+    "occupancy", "tudf", "observed", "known", "certain", "loss", "lovasz", "regression", "eikonal",
+    "world", "viewpoint", "sha256", "occupancy_probability", "probability",
+}  # fmt: skip
+"""Names in batches, files and losses, which no target of a user's own may have."""
 
 METHODS = Registry(
     "method",
     {
-        "empty": "scenegen.model.completion.unlearned:Empty",
-        "returns": "scenegen.model.completion.unlearned:Returns",
-        "conservative": "scenegen.model.completion.unlearned:Conservative",
-        "extrude": "scenegen.model.completion.unlearned:Extrude",
-        "truth": "scenegen.model.evaluation.methods:Truth",
-        "seen": "scenegen.model.evaluation.visibility:Seen",
+        "empty": "scenegen.model.completion.protocol:Empty",
+        "returns": "scenegen.model.completion.protocol:Returns",
+        "conservative": "scenegen.model.completion.protocol:Conservative",
+        "extrude": "scenegen.model.completion.protocol:Extrude",
+        "truth": "scenegen.model.bench.methods:Truth",
+        "seen": "scenegen.model.bench.visibility:Seen",
     },
 )
 """Classes of completers and of the bench's rows, made without arguments; a user's own completer as
@@ -101,6 +111,11 @@ USUAL = tuple(name for name in METHODS.builtin if name != "seen")
 def is_own(name: str) -> bool:
     """Whether `name` is module:Object, so that code of a user's own stands behind it."""
     return ":" in name
+
+
+def target_name(name: str) -> str:
+    """What batches, outputs and predictions call a target: "classes" for "my_labels:Classes"."""
+    return name.rpartition(":")[2].lower()
 
 
 def named(registry: Registry, name: str) -> Any:
@@ -115,16 +130,16 @@ def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
     "my_net:Net,my_input:rise@runs/mine" is the network in runs/mine, which may be made of these
     two. A file alone never has code imported, whatever its header says.
     """
-    found = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
-    return (frozenset(found[1].split(",")), found[2]) if found else (frozenset(), str(weights))
+    match = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
+    return (frozenset(match[1].split(",")), match[2]) if match else (frozenset(), str(weights))
 
 
 def split_name(weights: str) -> tuple[str, str]:
     """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
     exists is WEIGHTS as it stands."""
-    name, equals, rest = weights.partition("=")
+    name, equals, place = weights.partition("=")
     named = equals and re.fullmatch(r"[\w. -]+", name) and not Path(split_own(weights)[1]).exists()
-    return (name, rest) if named else ("", weights)
+    return (name, place) if named else ("", weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,11 +152,12 @@ class NetworkConfig:
     inputs: tuple[str, ...] = ("observed",)
     """Names of the channels that the network takes, in their order (paper: the voxels that hold a
     return, alone); one's own as module:function."""
+    targets: tuple[str, ...] = ()
+    """Names of what it predicts besides its variant's tasks; one's own as module:Class."""
+    channels: tuple[int, ...] = number((), least=1, most=MOST_CLASSES)
+    """How many channels each of these has; `train` takes it from the data."""
     width: int = number(8, least=1, most=MOST_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
-    stem_stride: Literal[1, 2] = 2
-    """Where the pre-processing halves the resolution: 2 in its first convolution, 1 in its second,
-    after one at full resolution (ours)."""
     heads: int = number(4, least=1)
     """Heads of the self-attention (ours)."""
     height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)
@@ -150,17 +166,27 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        for registry, names in ((NETWORKS, [self.variant]), (INPUTS, self.inputs)):
+        known = (NETWORKS, [self.variant]), (INPUTS, self.inputs), (TARGETS, self.targets)
+        for registry, names in known:
             for name in names:
                 if not is_own(name) and name not in registry.builtin:
                     raise ValueError(registry.unknown(name))
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
+        targets = [*map(target_name, self.targets)]
+        taken = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
+        own = {*map(target_name, filter(is_own, self.targets))}
+        if len(set(targets)) < len(targets) or taken & {*targets} or TAKEN & own:
+            raise ValueError(f"targets = {short(self.targets)}: expected new names, each once")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
                 "must be a multiple of the heads"
             )
+
+    def channels_of(self, target: str) -> int:
+        """How many channels a target has, called by its `target_name`."""
+        return dict(zip(map(target_name, self.targets), self.channels, strict=False)).get(target, 1)
 
     def check_map(self, shape: tuple[int, ...]) -> None:
         """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
@@ -174,11 +200,10 @@ class NetworkConfig:
                 f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no "
                 f"others"
             )
-        if math.prod(shape) * self.width > MOST_FEATURES:
+        if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MOST_FEATURES:
             raise ValueError(
-                f"maps of {shape} voxels at width {self.width}: expected "
-                f"{MOST_FEATURES // self.width} voxels at most; "
-                "use a smaller grid, or a smaller --width"
+                f"maps of {shape} voxels at width {features}: expected "
+                f"{MOST_FEATURES // features} voxels at most; give a smaller grid or --width"
             )
 
 
@@ -227,19 +252,16 @@ class TrainConfig:
     """Maps between two looks at validation; a pass over all maps unless given (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
-    optimizer: Literal["auto", "muon", "adamw"] = "auto"
-    """What makes a step of a gradient; docs/training.md compares them. Auto is muon, and for a run
-    of 0.2.0, which had no other, adamw (ours)."""
+    optimizer: Literal["muon", "adamw"] = "muon"
+    """What makes a step of a gradient; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
-    schedule: Literal["decay", "cosine", "constant"] = "decay"
+    schedule: Literal["decay", "constant"] = "decay"
     """How the learning rate falls. "decay": it stays level until validation stalls or the budget
-    nears its end, then falls along a line to 0, where training ends (ours). "cosine": it falls
-    along a cosine, to 0 at the end of the budget, and training is cut off where validation
-    stalls. "constant": it never falls and has no warm-up; training ends where validation
-    stalls."""
+    nears its end, then falls along a line to 0, where training ends (ours). "constant": it never
+    falls and has no warm-up; training ends where validation stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)
@@ -265,7 +287,7 @@ class TrainConfig:
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where
     the device has instructions for it."""
     compile: bool = False
-    """Whether to run the network through torch.compile: slower on CPUs (docs/log.md)."""
+    """Whether to run the network through torch.compile: slower on CPUs (docs/log)."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.voxelization import sort_points
-from scenegen.errors import DatasetError, told
+from scenegen.base.errors import DatasetError, told
+from scenegen.draw.sample import Sample
 from scenegen.model.config import INPUTS, is_own, named
-from scenegen.sample import Sample
 from scenegen.truth import distance_field
 
 SYMMETRIES = 8
@@ -96,13 +96,13 @@ def input_called(name: str) -> Channel:
 
     Raises ScenegenError for a name that leads to none.
     """
-    found = named(INPUTS, name)
+    function = named(INPUTS, name)
     if not is_own(name):
-        return found
+        return function
 
     def checked(seen: Any, grid: GridSpec, sensor: Any) -> Field:
         try:
-            values = np.asarray(found(seen, grid, sensor), np.float32)
+            values = np.asarray(function(seen, grid, sensor), np.float32)
         except Exception as error:  # a loader process hands over no traceback
             raise told(error) from None
         if values.shape != grid.shape or not np.isfinite(values).all():
@@ -126,16 +126,16 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
     """What the points of a sample tell of its map; None where it is not of one scan in its
     middle."""
     scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
-    alone = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
-    return scan if alone else None
+    single = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
+    return scan if single else None
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
-    """A map (X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z, mirrored in
-    y from 4 on.
+    """A map (..., X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z,
+    mirrored in y from 4 on.
 
     The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
     """
     if symmetry >= SYMMETRIES // 2:
-        grid = grid[:, ::-1]
-    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(0, 1)))
+        grid = grid[..., ::-1, :]
+    return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(-3, -2)))

@@ -6,7 +6,8 @@ All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the n
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
@@ -15,6 +16,7 @@ from torch import Tensor
 from lidarsim import GridSpec
 from scenegen.model.config import LOSSES, LossConfig, Thresholds, is_own, named
 from scenegen.model.network import Batch, Output
+from scenegen.model.targets import BUILT_IN, Target
 
 ROOT_EPSILON = 1e-8
 """Under the root of the gradient's length, so that a flat field has a finite derivative."""
@@ -23,8 +25,8 @@ THRESHOLD = Thresholds().probability
 """Where `lovasz_loss` looks for an edge."""
 
 Loss = Callable[[Output, Batch], dict[str, Tensor]]
-"""From what a network says of a batch, and the batch itself (its inputs, and the true ``occupancy``
-and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name. A batch with maps
+"""From what a network says of a batch, and the batch itself (its inputs, and the truth by target),
+to scalars: what is minimised, as ``loss``, and its terms by name. A batch with maps
 of real places has ``known``, too, the voxels whose occupancy counts, and ``certain``, those whose
 distance does."""
 
@@ -37,53 +39,51 @@ def at_least_one(count: Tensor) -> Tensor:
     return count.clamp(min=1)
 
 
-def loss_of(config: LossConfig, grid: GridSpec, divisor: Divisor = at_least_one) -> Loss:
-    """The loss that `config` names: the paper's, or one's own as docs/own-network.md says.
+def loss_of(
+    config: LossConfig,
+    grid: GridSpec,
+    divisor: Divisor = at_least_one,
+    targets: Mapping[str, Target] = BUILT_IN,
+) -> Loss:
+    """The loss that `config` names for a network with these `targets`: the paper's, with whatever
+    other targets add, or one's own as docs/own-network.md says.
 
     `divisor` is for batches of which several processes have a part each; see
     `Coupled.eikonal_loss`. Raises ScenegenError for a name that leads to none.
     """
     if not is_own(config.objective):
-        return Coupled(config, grid, divisor)
-    found = named(LOSSES, config.objective)
-    own = found(config, grid) if isinstance(found, type) else found
+        return Coupled(config, grid, divisor, targets)
+    objective = named(LOSSES, config.objective)
+    function = objective(config, grid) if isinstance(objective, type) else objective
 
-    def loss(output: Output, batch: Batch) -> dict[str, Tensor]:
-        terms = own(output, batch)
-        if not isinstance(terms, Mapping):
-            return {"loss": terms}
-        return {"loss": sum(terms.values()), **terms}
+    return lambda output, batch: summed(function(output, batch))
 
-    return loss
+
+def summed(terms: Tensor | Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What a user's own code says of a batch, a scalar or several by name, with what is minimised
+    as ``loss``: their sum, unless there is one."""
+    if not isinstance(terms, Mapping):
+        return {"loss": terms}
+    total: Any = sum(terms.values())
+    return {"loss": total, **terms}
 
 
 @dataclass(frozen=True)
 class Coupled:
-    """Eq. 7 and 11: the parts that the output has, and their weighted sum under ``loss``."""
+    """Eq. 7 and 11: what the targets of the output add, as ``loss``, and their terms."""
 
     config: LossConfig
     grid: GridSpec
     divisor: Divisor = at_least_one
+    targets: Mapping[str, Target] = field(default_factory=lambda: BUILT_IN)
 
     def __call__(self, output: Output, batch: Batch) -> dict[str, Tensor]:
         """Scalars; see `Loss`."""
-        config, occupancy, tudf, parts = self.config, batch["occupancy"], batch["tudf"], {}
-        known, certain = batch.get("known"), batch.get("certain")
-        total = torch.zeros((), device=occupancy.device)
-        if output.logits is not None:
-            parts["occupancy"] = self.occupancy_loss(output.logits, occupancy, known)
-            occupancy_total = parts["occupancy"]
-            if config.lovasz:
-                parts["lovasz"] = self.lovasz_loss(output.logits, occupancy, known)
-                occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
-            total = total + config.occupancy * occupancy_total
-        if output.tudf is not None:
-            parts["regression"] = self.regression_loss(output.tudf, tudf, certain)
-            tudf_total = parts["regression"]
-            if config.eikonal:  # a tenth of a step's time
-                parts["eikonal"] = self.eikonal_loss(output.tudf, tudf, certain)
-                tudf_total = tudf_total + config.eikonal * parts["eikonal"]
-            total = total + config.tudf * tudf_total
+        total, parts = torch.zeros((), device=batch["occupancy"].device), dict[str, Tensor]()
+        for name, values in output.by_target.items():
+            loss = self.targets[name].loss(values, batch, self)
+            added, terms = loss if isinstance(loss, tuple) else (loss, {name: loss})
+            total, parts = total + added, {**parts, **terms}
         return {"loss": total, **parts}
 
     def occupancy_loss(
@@ -98,7 +98,7 @@ class Coupled:
         logits = logits.float()
         loss = F.softplus(torch.where(occupancy, -logits, logits))
         weighted = torch.where(occupancy, self.config.occupied_weight * loss, loss)
-        return self._mean(weighted, known)
+        return self.mean(weighted, known)
 
     @staticmethod
     def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
@@ -116,7 +116,7 @@ class Coupled:
             occupancy = occupancy & known
         margins = margins.flatten(1)
         return torch.stack(
-            [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
+            [_lovasz(*pair) for pair in zip(margins, occupancy.flatten(1), strict=True)]
         ).mean()
 
     def regression_loss(
@@ -127,7 +127,7 @@ class Coupled:
         config = self.config
         loss = F.smooth_l1_loss(predicted.float(), tudf, beta=config.beta_m, reduction="none")
         weighted = torch.where(tudf <= config.near_m, config.near_weight * loss, loss)
-        return self._mean(weighted, certain)
+        return self.mean(weighted, certain)
 
     def eikonal_loss(
         self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
@@ -147,9 +147,9 @@ class Coupled:
         slope = (squares / self.grid.voxel_m**2 + ROOT_EPSILON).sqrt()
         mask = (tudf > 0) & (tudf < self.grid.truncation_m)
         mask = mask if certain is None else mask & certain
-        return self._mean((slope - 1).abs(), mask[:, :-1, :-1, :-1])
+        return self.mean((slope - 1).abs(), mask[:, :-1, :-1, :-1])
 
-    def _mean(self, loss: Tensor, over: Tensor | None) -> Tensor:
+    def mean(self, loss: Tensor, over: Tensor | None) -> Tensor:
         """The mean over all voxels, or `over` those that count; 0 over none."""
         if over is None:
             return loss.mean()
@@ -164,7 +164,7 @@ def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
     errors = 1 - torch.where(occupied, margins, -margins)
     held = errors > 0
     errors, order = errors[held].sort(descending=True)
-    beside = ~occupied[held][order]
+    free = ~occupied[held][order]
     wrong = torch.arange(1, len(errors) + 1, device=errors.device)
-    lost = wrong / (occupied.sum() + beside.cumsum(0))
+    lost = wrong / (occupied.sum() + free.cumsum(0))
     return errors @ lost.diff(prepend=lost.new_zeros(1))

@@ -13,7 +13,7 @@ one's own is a class like `Network`: docs/own-network.md.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,14 +21,26 @@ import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
-from scenegen.errors import ScenegenError
-from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
-from scenegen.run.software import processor
+from lidarsim import GridSpec
+from scenegen.base.errors import ScenegenError
+from scenegen.base.executors import processor
+from scenegen.model.config import (
+    LEVELS,
+    NETWORKS,
+    SHARED,
+    TASKS,
+    VARIANTS,
+    NetworkConfig,
+    named,
+    target_name,
+)
+from scenegen.model.targets import Target, targets_of
 
 Batch = dict[str, Tensor]
-"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and
-``tudf``, too; and where maps of real places are among them, what is ``known``, and which distances
-are ``certain``: nothing unknown is nearer than what is known to be occupied."""
+"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the truth of its targets,
+too, and always the true ``occupancy`` and ``tudf``; and where maps of real places are among them,
+what is ``known``, and which distances are ``certain``: nothing unknown is nearer than what is known
+to be occupied."""
 
 
 class Output(NamedTuple):
@@ -38,15 +50,32 @@ class Output(NamedTuple):
     """(B, X, Y, Z): the probability of occupancy before its sigmoid."""
     tudf: Tensor | None
     """(B, X, Y, Z): metres, not negative, not truncated."""
+    others: Mapping[str, Tensor] = {}
+    """(B, X, Y, Z) or (B, channels, X, Y, Z): its other targets, by `target_name`."""
 
     @classmethod
-    def of(cls, found: dict[str, Tensor]) -> "Output":
-        """From what the heads give, by task."""
-        return cls(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
+    def of(cls, heads: Mapping[str, Tensor], targets: Mapping[str, Target]) -> "Output":
+        """From what the heads give, by target."""
+        outputs = {name: targets[name].output(values) for name, values in heads.items()}
+        return cls(outputs.pop("occupancy", None), outputs.pop("tudf", None), outputs)
+
+    @property
+    def by_target(self) -> dict[str, Tensor]:
+        """What it says, by target."""
+        outputs = {"occupancy": self.logits, "tudf": self.tudf, **self.others}
+        return {name: values for name, values in outputs.items() if values is not None}
+
+    def predictions(self, targets: Mapping[str, Target], grid: GridSpec) -> dict[str, Tensor]:
+        """What a `Prediction` keeps of it, by the name of its array."""
+        return {
+            targets[name].part or name: targets[name].prediction(values.float(), grid)
+            for name, values in self.by_target.items()
+        }
 
 
 def build(config: NetworkConfig) -> nn.Module:
-    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`.
+    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`,
+    names of all that it predicts, and these `targets` themselves by `target_name`.
 
     Raises ScenegenError for a name that leads to none.
     """
@@ -56,7 +85,8 @@ def build(config: NetworkConfig) -> nn.Module:
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
     network.register_forward_pre_hook(_inputs_alone)
-    network.config, network.tasks = config, tuple(getattr(network, "tasks", TASKS))
+    network.tasks = tuple(dict.fromkeys((*getattr(network, "tasks", TASKS), *config.targets)))
+    network.config, network.targets = config, targets_of(network.tasks)
     return network
 
 
@@ -76,7 +106,7 @@ def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
 
 def prefers_bfloat16() -> bool:
     """Whether this machine's processor is faster in bfloat16 than in float32: with AMX, and one of
-    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log.md)."""
+    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log)."""
     has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
     return bool(has.get("amx_bf16" if "Intel" in processor() else "avx512_bf16"))
 
@@ -89,45 +119,52 @@ class Network(nn.Module):
         super().__init__()
         self.config = config
         variant = VARIANTS[config.variant]
-        self.tasks = variant.tasks
+        self.tasks = (*variant.tasks, *config.targets)
+        self.targets = targets_of(self.tasks)
+        branches = variant.decoders
+        if branches != SHARED:  # what is not of the variant has a decoder, and is not coupled
+            branches = (*branches, *map(target_name, config.targets))
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
-        stride = config.stem_stride
         self.preprocess = nn.Sequential(
-            *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
+            *_convolution(inputs, finest, stride=2), *_convolution(finest, finest)
         )
         self.encoder = nn.ModuleList(
             nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
             for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
         )
         self.attention = SelfAttention(widths[-1], config.heads)
-        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
+        self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in branches})
         self.fusion = nn.ModuleList(map(CrossFusion, widths)) if variant.coupled else None
         self.columns = None
         if variant.columns:
             levels = [(c, config.height // 2 ** (level + 1)) for level, c in enumerate(widths)]
             self.columns = Columns(inputs, config.height, levels, variant.columns)
             features = 2 * finest
-        self.head = nn.ModuleDict({task: FinalUp(features, finest) for task in variant.tasks})
+        self.head = nn.ModuleDict(
+            {
+                name: FinalUp(features, finest, config.channels_of(name))
+                for name in map(target_name, self.tasks)
+            }
+        )
 
     def forward(self, batch: Batch) -> Output:
         """What the heads make of the features (eq. 6)."""
         features = self.features(batch)
-        return Output.of(
-            {
-                task: head(features.get(task, features.get("shared")))
-                for task, head in self.head.items()
-            }
-        )
+        heads = {
+            name: head(features.get(name, features.get("shared")))
+            for name, head in self.head.items()
+        }
+        return Output.of(heads, self.targets)
 
     def features(self, batch: Batch) -> dict[str, Tensor]:
         """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
-        given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
-        x, skips = self.preprocess(given), []
+        voxels = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
+        x, skips = self.preprocess(voxels), []
         for encode in self.encoder:
             x = encode(x)
             skips.append(x)
-        columns = None if self.columns is None else self.columns(given, skips)
+        columns = None if self.columns is None else self.columns(voxels, skips)
         features = dict.fromkeys(self.decoder, self.attention(x))  # F_s
         for level in reversed(range(LEVELS)):
             features = {
@@ -136,7 +173,7 @@ class Network(nn.Module):
             }
             if self.fusion is not None:
                 t, o = self.fusion[level](features["tudf"], features["occupancy"])  # eq. 5
-                features = {"tudf": t, "occupancy": o}
+                features |= {"tudf": t, "occupancy": o}
             if columns is not None:
                 flat = columns[level]
                 features = {
@@ -161,8 +198,8 @@ class SelfAttention(nn.Module):
         cells = x.flatten(2).transpose(1, 2)  # (B, cells, C)
         qkv = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1))
         q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, heads, cells, C / heads) each
-        found = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-        return x + self.out(found).transpose(1, 2).unflatten(2, x.shape[2:])
+        result = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        return x + self.out(result).transpose(1, 2).unflatten(2, x.shape[2:])
 
 
 class Decoder(nn.Module):
@@ -208,34 +245,29 @@ class CrossFusion(nn.Module):
 
 
 class FinalUp(nn.Module):
-    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z): eight values a cell, one for each voxel in it.
+    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z), or (B, channels, X, Y, Z) for several: eight values
+    a cell, one for each voxel in it.
 
     The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an
     upper bound of the logit, and no probability ever passes the threshold.
     """
 
-    def __init__(self, below: int, width: int, fields: int = 1):
+    def __init__(self, below: int, width: int, channels: int = 1):
         super().__init__()
         self.refine = nn.Sequential(
-            *_convolution(below, fields * width)[:-1], nn.LeakyReLU(0.1, inplace=True)
+            *_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True)
         )
-        self.split = Conv3d(fields * width, fields * 8, 3, padding=1)
+        self.split = Conv3d(width, 8 * channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
         """As the class says."""
-        return self.each(x)[0]
-
-    def each(self, x: Tensor) -> list[Tensor]:
-        """The fields (B, X, Y, Z) that this head gives."""
         x = self.refine(x)
         # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
         with torch.autocast(x.device.type, enabled=False):
-            found = self.split(x.float())
-        cells = (field.unflatten(1, (2, 2, 2)) for field in found.split(8, dim=1))
-        # (B, i, j, k, x, y, z) → (B, x, i, y, j, z, k) → (B, X, Y, Z)
-        return [
-            c.permute(0, 4, 1, 5, 2, 6, 3).flatten(5, 6).flatten(3, 4).flatten(1, 2) for c in cells
-        ]
+            cells = self.split(x.float()).unflatten(1, (-1, 2, 2, 2))
+        # (B, c, i, j, k, x, y, z) → (B, c, x, i, y, j, z, k) → (B, c, X, Y, Z)
+        voxels = cells.permute(0, 1, 5, 2, 6, 3, 7, 4).flatten(6, 7).flatten(4, 5).flatten(2, 3)
+        return voxels.squeeze(1)
 
 
 class Columns(nn.Module):
@@ -285,13 +317,13 @@ class Columns(nn.Module):
         for level, (down, mix) in enumerate(zip(self.down, self.mix, strict=True)):
             flat = mix(down(flat) + self.take[level](_flat(skips[level])))
             seen.append(flat)
-        found = [flat]
+        result = [flat]
         for level in reversed(range(len(self.up))):
             flat = self.refine[level](torch.cat((self.up[level](flat), seen[level]), dim=1))
-            found.insert(0, flat)
+            result.insert(0, flat)
         return [
             give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
-            for give, flat, level in zip(self.give, found, self._levels, strict=True)
+            for give, flat, level in zip(self.give, result, self._levels, strict=True)
         ]
 
 
@@ -305,7 +337,7 @@ class _Direct:
 
     On a CPU, torch leaves a batch of one small map to a path that takes four times as long, and
     rounds otherwise, than that of larger batches: oneDNN, which is asked for all of them here
-    (docs/log.md).
+    (docs/log).
     """
 
     def forward(self: Any, x: Tensor) -> Tensor:
@@ -315,8 +347,8 @@ class _Direct:
         if plain and torch.is_inference_mode_enabled() and torch.backends.mkldnn.is_available():
             given = self.padding, self.stride, self.dilation, self.groups
             return torch.mkldnn_convolution(x, self.weight, self.bias, *given)
-        found: Tensor = super().forward(x)  # type: ignore[misc]
-        return found
+        result: Tensor = super().forward(x)  # type: ignore[misc]
+        return result
 
 
 class Conv2d(_Direct, nn.Conv2d):

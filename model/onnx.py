@@ -20,16 +20,17 @@ import torch
 from torch import Tensor, nn
 
 from lidarsim.grid import Field, GridSpec
-from scenegen.errors import GuardError, needs, printable, raised_as
-from scenegen.files import Json, check_ours, read_bounded, write_result
-from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.errors import GuardError, needs, printable, raised_as
+from scenegen.base.files import Json, check_ours, write_result
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.reading import read_bounded
+from scenegen.base.workers import guarded
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
-from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Batch, FinalUp, Network, Output, prefers_bfloat16
-from scenegen.run.workers import guarded
+from scenegen.model.config import VARIANTS, NetworkConfig, target_name
+from scenegen.model.network import Batch, Output, prefers_bfloat16
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
-"""Outputs of an ONNX file, by task."""
+"""Outputs of an ONNX file, by task; others are called as their `target_name`."""
 HEADER = "scenegen"
 """Key of the file's metadata under which grid, variant and origin stand, as JSON."""
 LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
@@ -37,7 +38,7 @@ LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 BYTES_A_FEATURE = 100
 """What a runtime takes for two maps, at most: bytes a voxel and channel at the first level."""
 RUNTIMES = ("openvino", "onnxruntime")
-"""Fastest first (docs/export.md)."""
+"""Fastest first (docs/complete.md)."""
 Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 
@@ -60,16 +61,17 @@ def load_onnx(
     """
     content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
-        found = _examined(content, runtime)
-    check_own(path, own, *found.config.inputs)
-    run = _open(content, found, threads)
+        file = _examined(content, runtime)
+    check_own(path, own, *file.config.inputs, *file.config.targets)
+    run = _open(content, file, threads)
 
     def forward(batch: Batch) -> Output:
-        values = run({name: batch[name].float().numpy(force=True) for name in found.config.inputs})
-        said = dict(zip(found.outputs, map(torch.from_numpy, values), strict=True))
-        return Output(*map(said.get, NAMES.values()))
+        values = run({name: batch[name].float().numpy(force=True) for name in file.config.inputs})
+        by_name = dict(zip(file.outputs, map(torch.from_numpy, values), strict=True))
+        logits, tudf = (by_name.pop(name, None) for name in NAMES.values())
+        return Output(logits, tudf, by_name)
 
-    return forward, found
+    return forward, file
 
 
 @dataclass(frozen=True)
@@ -96,14 +98,14 @@ def _examined(content: bytes, runtime: str | None) -> Examined:
         graph = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"is not an ONNX file that can be read ({error})") from None
-    found = Examined(usable[0], *graph)
-    features = found.config.width * int(np.prod(found.grid.shape))
+    file = Examined(usable[0], *graph)
+    features = file.config.width * int(np.prod(file.grid.shape))
     memory += BYTES_A_FEATURE * features
     try:
-        guarded(_try, (content, found), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
+        guarded(_try, (content, file), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"{usable[0]} cannot run it: {error}; export it again") from None
-    return found
+    return file
 
 
 def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str, ...]]:
@@ -127,11 +129,21 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"its header is damaged ({printable(error)[:200]}); export it again"
         ) from None
     graph = model.graph
+    attributes = [each for node in graph.node for each in node.attribute]
+    tensors = [
+        *graph.initializer,
+        *(each.t for each in attributes),
+        *(tensor for each in attributes for tensor in each.tensors),
+    ]
     odd = sorted({node.op_type for node in graph.node if node.op_type in LOOPS or node.domain})
-    tensors = _tensors(graph)
-    if odd or model.functions or any(tensor.data_location for tensor in tensors):
+    elsewhere = any(tensor.data_location for tensor in tensors)
+    sparse = graph.sparse_initializer or any(
+        each.HasField("sparse_tensor") or each.sparse_tensors for each in attributes
+    )
+    if odd or model.functions or elsewhere or sparse:
         raise CheckpointError(
-            f"has loops or parts elsewhere, which no export may have ({printable(odd)[:100]})"
+            "has loops, sparse tensors or parts elsewhere, which no export has "
+            f"({printable(odd)[:100]})"
         )
     inputs = [each.name for each in graph.input]
     if sorted(inputs) != sorted(config.inputs):
@@ -141,31 +153,16 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
         )
     _check_numbers(graph, tensors)
     outputs = {output.name for output in graph.output}
-    tasks = [task for task, name in NAMES.items() if name in outputs]
+    others = [*map(target_name, config.targets)]
+    tasks = [task for task in (*NAMES, *others) if NAMES.get(task, task) in outputs]
     variant = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
-    if variant and set(tasks) != set(variant.tasks):
+    expected = {*(variant.tasks if variant else tasks), *others}
+    if set(tasks) != expected:
         raise CheckpointError(
             f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
-            f"{' and '.join(variant.tasks)}; export it again"
+            f"{' and '.join(sorted(expected))}; export it again"
         )
-    return config, grid, about, tuple(NAMES[task] for task in tasks)
-
-
-def _tensors(graph: Any) -> list[Any]:
-    """All tensors of a graph without subgraphs: its weights, and constants among its nodes. Sparse
-    ones are as their values and indices."""
-    attributes = [each for node in graph.node for each in node.attribute]
-    sparse = [
-        *graph.sparse_initializer,
-        *(each.sparse_tensor for each in attributes),
-        *(tensor for each in attributes for tensor in each.sparse_tensors),
-    ]
-    return [
-        *graph.initializer,
-        *(each.t for each in attributes),
-        *(tensor for each in attributes for tensor in each.tensors),
-        *(part for tensor in sparse for part in (tensor.values, tensor.indices)),
-    ]
+    return config, grid, about, tuple(NAMES.get(task, task) for task in tasks)
 
 
 def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
@@ -194,14 +191,16 @@ def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
 def _try(task: tuple[bytes, Examined]) -> None:
     """Complete two empty maps. Raises CheckpointError where what comes is no completion, and what
     the runtime does."""
-    content, found = task
-    shape = (2, *found.grid.shape)  # a file may take one alone
-    run = _open(content, found, threads=1)
-    values = run({name: np.zeros(shape, np.float32) for name in found.config.inputs})
-    good = [
-        value.shape == shape and value.dtype == np.float32 and np.isfinite(value).all()
-        for value in values
-    ]
+    content, file = task
+    shape = (2, *file.grid.shape)  # a file may take one alone
+    run = _open(content, file, threads=1)
+    values = run({name: np.zeros(shape, np.float32) for name in file.config.inputs})
+    good = []
+    for name, value in zip(file.outputs, values, strict=True):
+        channels = file.config.channels_of(name)
+        expected = (2, *[channels] * (channels > 1), *file.grid.shape)
+        finite = value.dtype == np.float32 and np.isfinite(value).all()
+        good.append(value.shape == expected and finite)
     if not good or not all(good):
         raise CheckpointError(
             f"gives other than {' and '.join(NAMES.values())}, finite, float32, {shape}; export "
@@ -251,47 +250,22 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
 
 
 class Traced(nn.Module):
-    """A network whose output is a plain tuple, as tracing wants it, and whose heads are one where
-    they read the same features: two convolutions in place of four, the second half zeros, take less
-    time."""
+    """A network whose output is a plain tuple, as tracing wants it."""
 
     def __init__(self, network: Any):
         super().__init__()
         self.network = network
-        shared = isinstance(network, Network) and len(network.head) > 1
-        self.heads = _joined(network) if shared and "tudf" not in network.decoder else None
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """The network's inputs in their order, (B, X, Y, Z) each → its outputs, those of
         `NAMES`."""
-        batch = dict(zip(self.network.config.inputs, inputs, strict=True))
-        if self.heads is None:
-            output = Output(*self.network(batch))
-        else:
-            found = self.heads.each(self.network.features(batch)["shared"])
-            output = Output.of(dict(zip(self.network.head, found, strict=True)))
-        return tuple(part for part in output if part is not None)
-
-
-def _joined(network: Network) -> FinalUp:
-    """One head that gives the fields of all: its filters are theirs, with zeros between what
-    belongs to two."""
-    states = [head.state_dict() for head in network.head.values()]
-    state = {
-        name: torch.cat([one[name] for one in states]) if values.ndim else values
-        for name, values in states[0].items()
-    }
-    filters = torch.block_diag(*(one["split.weight"].flatten(1) for one in states))
-    state["split.weight"] = filters.unflatten(1, (-1, 3, 3, 3))
-    width, below = states[0]["refine.0.weight"].shape[:2]
-    whole = FinalUp(below, width, len(states))
-    whole.load_state_dict(state)
-    return whole
+        output = self.network(dict(zip(self.network.config.inputs, inputs, strict=True)))
+        return tuple(Output(*output).by_target.values())
 
 
 def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> None:
     """Write `network` as ONNX: its inputs by name, float32 (B, *grid.shape) each → ``logits``
-    and/or ``tudf``, the same shape.
+    and/or ``tudf``, the same shape, and other targets by their `target_name`.
 
     Raises CheckpointError for a name that does not end in .onnx, where onnx is not installed, and
     for a network that torch cannot export, or that has loops; DatasetError where the disk refuses.
@@ -316,7 +290,7 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
                 Traced(network.cpu()).eval(),
                 tuple(torch.zeros(2, *grid.shape) for _ in inputs),
                 input_names=list(inputs),
-                output_names=[name for task, name in NAMES.items() if task in network.tasks],
+                output_names=[NAMES.get(name, name) for name in network.targets],
                 dynamic_shapes=(tuple({0: batch} for _ in inputs),),
                 dynamo=True,
                 verbose=False,

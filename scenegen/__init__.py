@@ -18,26 +18,26 @@ TYPE_CHECKING = False  # as typing has it, which takes time to import: commands 
 if TYPE_CHECKING:
     from typing import Any
 
+    from scenegen.dataset.collection import load
     from scenegen.dataset.generation import generate
-    from scenegen.dataset.locate import load
     from scenegen.dataset.read import Dataset
-    from scenegen.display.notebook import show
-    from scenegen.draw import scan_world
+    from scenegen.draw.draw import scan_world
+    from scenegen.draw.sample import Sample
+    from scenegen.draw.source import read_world
     from scenegen.fly.environment import Flight
     from scenegen.model.api import bench, train
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.protocol import Prediction
     from scenegen.model.network import Output
     from scenegen.model.training.data import collate
-    from scenegen.recipe import Recipe, preset
-    from scenegen.recipes.kind import WorldKind
-    from scenegen.sample import Sample
-    from scenegen.source import read_world
     from scenegen.streams.stream import stream
     from scenegen.verification.folder import verify
+    from scenegen.view.notebook import show
     from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.kinds.kind import WorldKind
+    from scenegen.worlds.recipe import Recipe, preset
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 GENERATOR = 2
 """Raised whenever the same parameters and seed would give other bits, whatever the kind of worlds.
@@ -73,23 +73,23 @@ __all__ = [
 
 _MODULES = {
     "scenegen.dataset.generation": "generate",
-    "scenegen.dataset.locate": "load",
+    "scenegen.dataset.collection": "load",
     "scenegen.dataset.read": "Dataset",
-    "scenegen.display.notebook": "show",
+    "scenegen.view.notebook": "show",
     "scenegen.fly.environment": "Flight",
     "scenegen.model.api": "bench train",
     "scenegen.model.completion.completer": "Completer",
     "scenegen.model.completion.protocol": "Prediction",
     "scenegen.model.network": "Output",
     "scenegen.model.training.data": "collate",
-    "scenegen.recipe": "Recipe preset",
-    "scenegen.recipes.kind": "WorldKind",
-    "scenegen.sample": "Sample",
-    "scenegen.source": "read_world",
+    "scenegen.worlds.recipe": "Recipe preset",
+    "scenegen.worlds.kinds.kind": "WorldKind",
+    "scenegen.draw.sample": "Sample",
+    "scenegen.draw.source": "read_world",
     "scenegen.streams.stream": "stream",
     "scenegen.verification.folder": "verify",
     "scenegen.worlds.flight": "poses_in_flight",
-    "scenegen.draw": "scan_world",
+    "scenegen.draw.draw": "scan_world",
 }
 """Where each name of `__all__` stands. No module directly in this package may be called like one
 of them: importing it would put it in the name's place."""
@@ -100,19 +100,19 @@ def __getattr__(name: str) -> Any:
     knows."""
     from importlib import import_module
 
-    from scenegen.errors import lacking
+    from scenegen.base.errors import lacking
 
     for module, names in _MODULES.items():
         if name in names.split():
             try:
-                found = getattr(import_module(module), name)
+                value = getattr(import_module(module), name)
             except ModuleNotFoundError as error:
-                if said := lacking(error):
-                    text = f"scenegen.{name} {said}"
+                if advice := lacking(error):
+                    text = f"scenegen.{name} {advice}"
                     raise ModuleNotFoundError(text, name=error.name) from None
                 raise
-            globals()[name] = found
-            return found
+            globals()[name] = value
+            return value
     raise AttributeError(f"module 'scenegen' has no attribute {name!r}")
 
 

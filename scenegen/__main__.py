@@ -16,22 +16,17 @@ from scenegen.cli.command import Commands, run_command
 COMMANDS = {
     "Datasets": {
         "scenegen.cli.generate": "generate recipe",
-        "scenegen.cli.derive": "rescan take merge",
-        "scenegen.cli.verify": "verify",
-        "scenegen.cli.publish": "publish",
-        "scenegen.cli.convert": "convert world",
-        "scenegen.cli.maps": "map ingest",
+        "scenegen.cli.take": "take",
+        "scenegen.cli.datasets": "verify publish",
+        "scenegen.cli.convert": "convert world map ingest",
     },
     "Sensors": {"scenegen.cli.scan": "sensors scan"},
-    "To look at": {
-        f"scenegen.model.commands.{name}": name for name in ("inspect", "view", "render")
-    },
+    "To look at": {"scenegen.cli.inspect": "inspect view", "scenegen.cli.render": "render"},
     "Networks": {
-        **{
-            f"scenegen.model.commands.{name}": name
-            for name in ("train", "complete", "bench", "fly")
-        },
-        "scenegen.model.commands.networks": "calibrate export",
+        "scenegen.cli.train": "train",
+        "scenegen.cli.complete": "complete",
+        "scenegen.cli.bench": "bench calibrate export",
+        "scenegen.cli.fly": "fly",
     },
     "This machine": {"scenegen.cli.doctor": "doctor completion"},
 }

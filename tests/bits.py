@@ -14,16 +14,14 @@ import mujoco
 import numpy as np
 
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
-from lidarsim.noise import STAGES, chance
+from lidarsim.noise import STAGES
+from lidarsim.noise import returns as chance
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import albedo_of
-from lidarsim.solids.model import solids_of
-from scenegen.draw import draw_unit
-from scenegen.recipe import preset
-from scenegen.recipes import kind_names
-from scenegen.recipes.kind import attitudes, log_uniform, normal
-from scenegen.source import DrawnWorlds, read_scenes
-from scenegen.worlds.flight import viewpoints
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.source import DrawnWorlds, read_scenes
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import preset
 
 SCENES = Path(__file__).parent.parent / "scenes"
 
@@ -49,27 +47,12 @@ def of_processor():
 def of_datasets():
     """What must not differ: draws, directions, poses, meshes, and samples and worlds of the presets
     and the scenes; noise."""
-    rng = np.random.default_rng(0)
-    sensors = [
-        Lidar(
-            rows=7,
-            columns=50,
-            vertical_fov_deg=fov,
-            pitch_deg=fov / 3,
-            mount=("tilt", "band")[n % 2],
-        )
-        for n, fov in enumerate(rng.uniform(0.0, 180.0, 60))
-    ]
-    walk = rng.uniform(-3.0, 3.0, (3000, 3)).cumsum(axis=0)
-    route, flown = viewpoints(walk, 1.0, rng=rng)
-    found = {
-        "log_uniform": digest([log_uniform(0.002, 0.4, rng=rng) for _ in range(2000)]),
-        "normal": digest([normal((5000, 3), rng=rng)]),
-        "attitudes": digest([attitudes(5000, 0.5, rng=rng)]),
-        "directions": digest(sensor.directions_body for sensor in sensors),
-        "poses": digest(route.pose(metres).quaternion for metres in flown),
-        "mesh": digest([_mesh(rng)]),
-    }
+    rng, found = np.random.default_rng(0), {}
+    sensors = (
+        Lidar(rows=7, columns=50, vertical_fov_deg=fov, pitch_deg=fov / 3, mount=mount)
+        for fov, mount in zip(rng.uniform(0.0, 180.0, 60), ("tilt", "band") * 30, strict=True)
+    )
+    found["directions"] = digest(sensor.directions_body for sensor in sensors)
     for kind in kind_names():
         found[kind] = _flights(DrawnWorlds(preset(kind)), kind, 1)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
@@ -102,18 +85,6 @@ def _flights(source, kind, units):
         for sample in drawn.samples:
             total.update(sample.sha256() + digest([sample.free, sample.tudf]).encode())
     return total.hexdigest()
-
-
-def _mesh(rng):
-    """Corners of turned meshes in the world."""
-    spec = mujoco.MjSpec()
-    spec.add_mesh(name="m", uservert=rng.uniform(-1.0, 1.0, 300).tolist())
-    for attitude in attitudes(20, 1.0, rng=rng):
-        place = rng.uniform(-9.0, 9.0, 3)
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m", quat=attitude, pos=place
-        )
-    return solids_of(spec.compile()).triangles
 
 
 if __name__ == "__main__":

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 COMMON = """
-scenegen.cli.generate scenegen.cli.derive scenegen.cli.publish scenegen.cli.verify
-scenegen.cli.convert scenegen.draw scenegen.verification.folder
-scenegen.model.commands.bench scenegen.model.evaluation.run
+scenegen.cli.generate scenegen.cli.datasets scenegen.cli.datasets
+scenegen.cli.convert scenegen.draw.draw scenegen.verification.folder
+scenegen.cli.bench scenegen.model.bench.run
 lidarsim.engines.mujoco h5py numba ompl.base ompl.geometric scipy.ndimage trimesh
 """
 """What is imported beforehand. A user's module is not among it, nor `scenegen.__main__`, nor

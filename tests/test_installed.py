@@ -23,7 +23,7 @@ USERS = {
 SCRIPT = """
 import cli, data, docs.notes, model, tests.helpers
 assert [cli.mine, data.mine, docs.notes.mine, model.mine, tests.helpers.mine]
-from scenegen.model.completion.unlearned import Extrude
+from scenegen.model.completion.protocol import Extrude
 import lidarsim, scenegen
 print(Extrude.name, scenegen.__version__)
 """
@@ -66,7 +66,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     (tmp_path / "mine.py").write_text(SCRIPT)
     assert run(python, "mine.py").startswith("extrude")
     assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help")
-    told = "from scenegen.errors import needs; print(needs('torch', 'train'))"
+    told = "from scenegen.base.errors import needs; print(needs('torch', 'train'))"
     assert f"'{wheel}[train]'" in run(python, "-c", told)
     small = "--n 5 --val 0 --test 5 --workers 1 --quiet"
     run(python, *f"-m scenegen generate --kind pillar {small}".split())

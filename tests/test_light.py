@@ -6,7 +6,7 @@ import pytest
 from tests.command_line import modules_after
 from tests.conftest import dataset_in
 
-HEAVY = {"mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multiprocessing"}
+HEAVY = {"mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "multiprocessing"}
 
 
 @pytest.fixture(scope="module")

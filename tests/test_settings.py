@@ -10,6 +10,7 @@ import pytest
 from lidarsim import Fusion, GridSpec, Lidar
 from scenegen.model.config import LossConfig, NetworkConfig, PlanConfig, TrainConfig
 from tests.command_line import rows
+from tests.refusals import refuses
 
 KINDS = (GridSpec, Lidar, Fusion, NetworkConfig, TrainConfig, LossConfig, PlanConfig)
 KINDS = {kind.__name__: kind for kind in KINDS}
@@ -33,7 +34,6 @@ Fusion        → most               → NaN
 Fusion        → occupied           → 0.4
 Fusion        → occupied           → 0.98
 NetworkConfig → variant            → "both"
-NetworkConfig → stem_stride        → 3
 NetworkConfig → heads              → 5
 NetworkConfig → width              → 0
 TrainConfig   → epochs             → 0
@@ -52,12 +52,12 @@ PlanConfig    → field              → "exact"
 
 @pytest.mark.parametrize(("kind", "name", "value"), rows(WRONG))
 def test_a_setting_that_makes_no_sense_is_refused_by_name(kind, name, value):
-    with pytest.raises(ValueError, match=rf"\b{name} (= |')"):
-        KINDS[kind](**{name: json.loads(value)})
+    line = refuses(f"{kind} {name} {value}", KINDS[kind], **{name: json.loads(value)})
+    assert f"{name} " in line
 
 
 def test_no_weight_of_a_loss_is_negative_or_endless():
     names = {one.name for one in dataclasses.fields(LossConfig)} - {"objective"}
     for name, value in itertools.product(names, (-0.1, math.nan, math.inf)):
-        with pytest.raises(ValueError, match=rf"\b{name} (= |')"):
-            LossConfig(**{name: value})
+        line = refuses(f"{name} {value}", LossConfig, **{name: value})
+        assert line.startswith(f"{name} = ")

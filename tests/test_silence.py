@@ -17,75 +17,6 @@ from lidarsim.jit import cache_folder
 from scenegen.__main__ import app
 from tests.command_line import ROOT, code_of, process, python
 
-SHIM = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <errno.h>
-#include <fcntl.h>
-#include <netdb.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
-static void note(const char *what, const char *whom) {
-    const char *path = getenv("SILENCE_LOG");
-    char line[300];
-    int handle = path ? open(path, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600) : -1;
-    if (handle < 0) return;
-    snprintf(line, sizeof line, "%s %.200s\n", what, whom ? whom : "");
-    if (write(handle, line, strlen(line)) < 0) abort();
-    close(handle);
-}
-
-static int far(const struct sockaddr *to) {
-    return to && (to->sa_family == AF_INET || to->sa_family == AF_INET6);
-}
-
-int connect(int socket, const struct sockaddr *to, socklen_t length) {
-    if (far(to)) { note("connect", ""); errno = ECONNREFUSED; return -1; }
-    int (*real)(int, const struct sockaddr *, socklen_t) = dlsym(RTLD_NEXT, "connect");
-    return real(socket, to, length);
-}
-
-ssize_t sendto(int socket, const void *data, size_t size, int flags,
-               const struct sockaddr *to, socklen_t length) {
-    if (far(to)) { note("sendto", ""); errno = ECONNREFUSED; return -1; }
-    ssize_t (*real)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
-    real = dlsym(RTLD_NEXT, "sendto");
-    return real(socket, data, size, flags, to, length);
-}
-
-ssize_t sendmsg(int socket, const struct msghdr *message, int flags) {
-    if (message && far(message->msg_name)) { note("sendmsg", ""); errno = ECONNREFUSED; return -1; }
-    ssize_t (*real)(int, const struct msghdr *, int) = dlsym(RTLD_NEXT, "sendmsg");
-    return real(socket, message, flags);
-}
-
-int getaddrinfo(const char *node, const char *service,
-                const struct addrinfo *hints, struct addrinfo **found) {
-    note("getaddrinfo", node);
-    return EAI_FAIL;
-}
-
-struct hostent *gethostbyname(const char *name) { note("gethostbyname", name); return NULL; }
-struct hostent *gethostbyname2(const char *name, int family) {
-    note("gethostbyname2", name);
-    return NULL;
-}
-int gethostbyname_r(const char *name, struct hostent *entry, char *buffer, size_t size,
-                    struct hostent **found, int *error) {
-    note("gethostbyname_r", name);
-    *found = NULL;
-    *error = NO_RECOVERY;
-    return ENOENT;
-}
-"""
-NATIVE = """
-#include <netdb.h>
-int look_up(void) { struct addrinfo *found; return getaddrinfo("native.invalid", "80", 0, &found); }
-"""
 SMALL = """
 kind = "pillar"
 world = {size_m = [16, 16, 8]}
@@ -105,8 +36,8 @@ complete d --weights run -o p --device cpu
 complete scan.XYZ --weights run -o s.h5 --device cpu
 complete d --weights n.onnx -o o
 bench d --weights run --predictions p --quick --workers 1
-fly w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
-fly --replay f.json
+fly world w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
+fly replay f.json
 publish d --repo ada/d --dry-run --quick --workers 1
 doctor
 completion bash
@@ -123,10 +54,9 @@ render w.xml --flight -o r.png
 convert d --to semantickitti -o k
 convert d --to webdataset -o t
 recipe pillar
-rescan d --noise range:0.02 -o again --workers 1
-take d --split train -o taken --workers 1
-take d --split test --where occupied>=0 -o others --workers 1
-merge taken others -o merged --workers 1
+generate --like d --noise range:0.02 -o again --workers 1
+take d --split train --where occupied>=0 -o taken.json --workers 1
+inspect taken.json
 """
 """Every command, in an order in which each finds what it needs."""
 WORDS = [line.split() for line in COMMANDS.strip().splitlines()]
@@ -134,8 +64,8 @@ NAMES = {words[0] for words in WORDS}
 DEAR = {"export"}
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "
-    "others p p.png publish r.png run s.h5 s.ply scan.XYZ small.toml t taken v.html w.xml"
+    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps n.onnx o "
+    "p p.png publish r.png run s.h5 s.ply scan.XYZ small.toml t taken.json v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"
@@ -150,11 +80,10 @@ def shim(tmp_path_factory):
     if compiler is None:
         pytest.skip("needs a C compiler called cc")
     folder = tmp_path_factory.mktemp("shim")
-    for name, source in (("shim", SHIM), ("native", NATIVE)):
-        (folder / f"{name}.c").write_text(source)
-        made = f"{folder}/{name}.so {folder}/{name}.c"
+    for name in ("silence", "native"):
+        made = f"{folder}/{name}.so {ROOT}/tests/{name}.c"
         process(*f"{compiler} -shared -fPIC -w -o {made} -ldl".split())
-    return folder / "shim.so"
+    return folder / "silence.so"
 
 
 def environment(shim, folder):
@@ -270,8 +199,8 @@ def main():
     import time
 
     from scenegen.cli import doctor
-    from scenegen.display import panels, pictures
-    from scenegen.share import stage
+    from scenegen.publish import stage
+    from scenegen.view import panels, pictures
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     stage.SHOWN = 1

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from scenegen.files import whole
+from scenegen.base.files import whole
 from tests.command_line import ROOT, SMALL, done, refused, rows
-from tests.conftest import dataset_in
-from tests.scenegen.run import everywhere
+from tests.refusals import check_wording, refuses_command
+from tests.scenegen.base import everywhere
 
 FILES = f"""
 world d 0 -o w.xml                      → w.xml
@@ -25,7 +25,8 @@ export n.safetensors                    → n.onnx
 calibrate n.safetensors d -o c.safetensors                    → c.safetensors
 complete scan.npy --weights n.safetensors --device cpu        → scan.completed.h5
 map scan.npy --assume-free              → map.npz
-fly pillar --robot reactive --flights 1 -o f.json             → f.json
+take d --n 1 -o t.json                  → t.json
+fly world pillar --robot reactive --flights 1 -o f.json       → f.json
 """
 """Commands and a file that each writes."""
 GENERATE = "generate --recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
@@ -37,9 +38,8 @@ train d --out out --epochs 1 --device cpu → best.safetensors
 {GENERATE} → rays.npy
 {GENERATE} → dataset.json
 {GENERATE} → notes.txt
-rescan d -o out --noise range:0.02      → rays.npy
-merge d e -o out                        → train-00000.h5
-take d --n 1 -o out                     → train-00000.h5
+generate --like d --noise range:0.02 --quiet --out out        → rays.npy
+generate --kind mixed --n 24 --quiet --out out                → collection.json
 convert d --to npz -o out               → convert.json
 convert d --to npz -o out               → train/000000.npz
 complete d --weights n.safetensors -o out                     → test-00000.h5
@@ -55,11 +55,10 @@ SILENT = ("completion", "doctor", "inspect", "verify")
 
 @pytest.fixture
 def here(once, tmp_path, monkeypatch):
-    """The working folder, with what the commands read: two datasets, a network and a scan."""
+    """The working folder, with what the commands read: a dataset, a network and a scan."""
 
     def make(folder):
         everywhere.make(folder)
-        dataset_in(folder / "e", seed=2, counts=everywhere.COUNTS)
         np.save(folder / "scan.npy", np.random.default_rng(0).normal(size=(50, 3)))
         (folder / "small.toml").write_text(SMALL)
 
@@ -99,7 +98,9 @@ def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
     content = b"{}" if path.suffix == ".json" else b"mine"
     path.write_bytes(content)
     before = set(here.rglob("*"))
-    assert (folder or name) in refused(capsys, words)
+    line = refused(capsys, words)
+    assert (folder or name) in line
+    check_wording(f"{words} {name}", line.rstrip("\n"))
     assert path.read_bytes() == content
     assert set(here.rglob("*")) == before
 
@@ -114,5 +115,5 @@ def test_its_own_is_replaced_until_somebody_changes_it(words, name, here, capsys
         done(capsys, words)
     content = (here / name).read_bytes() + b"and mine"
     (here / name).write_bytes(content)
-    assert "not as scenegen wrote it" in refused(capsys, words)
+    refuses_command(capsys, words)
     assert (here / name).read_bytes() == content

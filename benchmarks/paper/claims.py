@@ -20,21 +20,19 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Floats
-from scenegen.files import Json
-from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.figures import summaries
-from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.paper import PAPER, TUNED
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import (
+from scenegen.base.files import Json
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
+from scenegen.model.bench.report import PAPER, TUNED, summaries
+from scenegen.model.bench.run import DatasetResult
+from scenegen.model.bench.statistics import (
     Estimate,
-    brief,
     caution,
     estimate,
     holm,
     interval,
-    table,
 )
+from scenegen.model.config import TrainConfig
+from scenegen.model.tables import markdown
 
 QUESTIONS = {
     "Q1": (
@@ -319,8 +317,6 @@ def gain(
     return estimate(sums, measured.worlds_of(metric), of)
 
 
-SHOWN = ("iou", "near_rmse", "success")
-"""The figures of every row; all others stand in the JSON."""
 RULE = f"""
 A claim says that one of the paper's methods is better than another, by one metric, on one kind of
 worlds. Each bold cell of the paper's tables gives a claim against every row that is worse. The
@@ -347,57 +343,45 @@ def to_markdown(study: Json) -> str:
     blocks = [
         "# The study",
         f"The paper's tables make {all_claims.total()} claims: {_counts(all_claims)}.",
-        table(("verdict", "claims"), verdicts),
+        markdown(("verdict", "claims"), verdicts),
         "## How it was measured",
         RULE,
         f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
         f"scale {settings['scale']:g}. Each saw {settings['maps'] * settings['scale']:.0f} maps at "
-        f"most. Training took {hours:.1f} hours on {devices}. `study.json` has all figures, also "
-        "those of each pair of seeds.",
+        f"most. Training took {hours:.1f} hours on {devices}. [study.json](study.json) has all "
+        "figures: p-values, means of every run with intervals, each pair of seeds, and "
+        "comparisons that the paper does not make. Below are differences with 95 % intervals.",
     ]
     if study["missing"]:
         names = ", ".join(f"`{name}`" for name in study["missing"])
         blocks.append(f"**Not trained**: {names}. Claims without networks are left out below.")
-    for kind in study["worlds"]:
-        blocks += _of_kind(study, kind)
-    spent = []
-    for name, run in runs.items():
-        maps = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
-        spent.append((f"`{name}`", (run["asks"], maps, f"{run['sha256'][:12]}…")))
-    heads = ("what for", "maps seen of samples, hours", "weights")
-    return "\n\n".join([*blocks, "## Runs", table(heads, spent)]) + "\n"
+    for kind, worlds in study["worlds"].items():
+        if few := caution(worlds):
+            blocks.append(f"**{kind}: {few}.**")
+    for title, claims in (
+        ("## The paper's claims", study["claims"]),
+        ("## Claims about paths, over trials where both methods have a path", study["paths"]),
+    ):
+        blocks += [title, _by_kind(claims, list(study["worlds"]))]
+    return "\n\n".join(blocks) + "\n"
 
 
 def _counts(verdicts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
 
 
-def _of_kind(study: Json, kind: str) -> list[str]:
-    blocks = [f"## {kind}"]
-    if few := caution(study["worlds"][kind]):
-        blocks.append(f"**{few}.**")
-    for title, claims in (
-        ("The paper's claims:", study["claims"]),
-        ("Claims about paths, over trials where both methods have a path:", study["paths"]),
-        ("Comparisons that the paper does not make:", study["beside"]),
-    ):
-        tried = [claim for claim in claims if claim["kind"] == kind and claim["pairs"]]
-        heads = ("verdict", "p (Holm)", "difference [95 % interval]")
-        blocks += [title, table(heads, map(_judged, tried))]
-    means = [
-        (row, [brief(figures[name]) for name in SHOWN])
-        for row, figures in study["means"][kind].items()
-    ]
-    return [
-        *blocks,
-        "Means over test maps and trials, with 95 % intervals:",
-        table([ALL[name].label for name in SHOWN], means),
-    ]
+def _by_kind(claims: Sequence[Json], kinds: Sequence[str]) -> str:
+    """A row for each claim and a column for each kind of worlds, where it is one."""
+    rows: dict[str, dict[str, str]] = {}
+    for claim in claims:
+        if claim["pairs"]:
+            name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
+            rows.setdefault(name, {})[claim["kind"]] = _judged(claim)
+    cells = ((name, [found.get(kind, "") for kind in kinds]) for name, found in rows.items())
+    return markdown(kinds, cells)
 
 
-def _judged(claim: Json) -> tuple[str, Sequence[str]]:
-    """A claim's row."""
-    name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
-    chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
+def _judged(claim: Json) -> str:
+    """The verdict of a claim, and the difference behind it."""
     value = "–" if claim["difference"] is None else f"{claim['difference']:+.3f}"
-    return name, (claim["verdict"], chance, f"{value} {interval(claim, '+.3f')}")
+    return f"{claim['verdict']}: {value} {interval(claim, '+.3f')}"

@@ -19,7 +19,7 @@ import torch
 import tyro
 
 import scenegen
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.model.config import PROTOCOLS, TrainConfig
 from scenegen.model.training.data import opened
 from scenegen.model.training.loop import Watcher, train

@@ -1,5 +1,4 @@
-"""Engines: what a ray meets in a world, and how far away. One file an engine; each fills
-`Engine`."""
+"""Engines: intersect rays with a world. One file an engine; each fills `Engine`."""
 
 from __future__ import annotations
 
@@ -16,41 +15,57 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
 
 
 class Caster(Protocol):
-    """Anything that can intersect rays with what it knows. It serves one thread at a time."""
+    """An object that intersects rays with a world or a map. It serves one thread at a time."""
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """Metres along the rays to the first surface, for P poses at once.
+        """Find the first surface along rays, for P poses at once.
 
-        `origins` (P, 3) are in the world frame, and so are the unit vectors `directions`
-        (P, *shape, 3). The answer has shape (P, *shape), with ``inf`` where nothing is met within
-        `max_range_m`. What one pose gives does not depend on the others. From inside a solid, a ray
-        meets the surface where it comes out. Planes are seen from their front, +z, and within their
-        half sizes where these are not 0. Directions of length 1 to a millionth count as the unit
-        vectors along them; other ones (a length of 0, a NaN), and origins that are not finite, meet
-        nothing. Engines of ours raise ValueError for arrays of other shapes, and for a range that
-        is below 0 or NaN.
+        A pose's result does not depend on the others. From inside a solid, a ray meets the surface
+        where it comes out. Planes are seen from their front, +z, and within their half sizes where
+        these are not 0.
+
+        Args:
+            origins: (P, 3), metres, in the world. Those that are not finite meet nothing.
+            directions: (P, *shape, 3), unit vectors in the world. Lengths within a millionth of 1
+                count as 1; other vectors meet nothing.
+            max_range_m: How far rays go, metres.
+
+        Returns:
+            (P, *shape), metres along the rays; ``inf`` where nothing is met within the range.
+
+        Raises:
+            ValueError: By our engines, if arrays have other shapes, or the range is negative or
+                NaN.
         """
         ...
 
 
 class Engine(Caster, Protocol):
-    """A caster that knows one compiled world.
+    """A caster of one compiled world.
 
-    A method `hits`, see `AnalyticEngine.hits`, is optional. It says what every ray met: stages of
-    noise that ask for surfaces need it.
-    """
+    A method `hits`, see `AnalyticEngine.hits`, is optional. It tells which surface every ray met;
+    stages of noise that need surfaces call it."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
-        """The engine of a compiled world, in its reference configuration, or in that of `data`,
-        which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
-        0 are not there. Neither argument is changed. A world that an engine of ours cannot cast is
-        refused when it is read, not here: `lidarsim.solids.model` knows every shape that is."""
+        """Make the engine of a compiled world.
+
+        Geoms whose material, or whose own colour without one, has alpha 0 are invisible.
+        `lidarsim.solids` refuses a world that our engines cannot cast when it reads it.
+
+        Args:
+            model: The world; not changed.
+            data: Where bodies are, forwarded by MuJoCo; not changed. The reference configuration if
+                None.
+
+        Returns:
+            The engine.
+        """
         ...
 
 
 EngineFactory = Callable[["mujoco.MjModel", "mujoco.MjData"], Engine]
-"""What makes an engine of a world: `Engine.of`."""
+"""A function that makes an engine of a world, such as `Engine.of`."""
 
 ENGINES = Registry(
     "engine",

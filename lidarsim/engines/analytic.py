@@ -1,4 +1,4 @@
-"""Rays by closed forms, through a hierarchy of boxes, with nothing of MuJoCo's ray caster in it."""
+"""Ray casting by closed forms, through a hierarchy of boxes, without MuJoCo's ray caster."""
 
 import math
 import os
@@ -14,27 +14,27 @@ from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.engines.traverse import LANES, TILE, surfaces_of, traverse, work_arrays
 from lidarsim.grid import Floats, Ints, rays_of
-from lidarsim.solids.shapes import PLANE, Solids
+from lidarsim.solids import PLANE, Solids
 
 if TYPE_CHECKING:
     import mujoco
 
 RAYS_A_THREAD = 50_000
-"""So many rays and more are worth a thread: ten milliseconds of work or so."""
+"""A thread pays from this many rays on: about ten milliseconds of work."""
 
 
 MAX_KEPT = 2**20
-"""An engine keeps what it cast last, for noise that asks for the surfaces of a scan, but no more
-rays than these: 40 bytes each."""
+"""An engine caches its last cast up to this many rays, 40 bytes each: noise often asks for the
+surfaces of a scan just made."""
 
 
 class _Cast(NamedTuple):
-    """Rays of P poses, and what they met."""
+    """The last cast: rays of P poses, and the items that they met."""
 
     max_range_m: float
     starts: Floats
     """(P, 3)."""
-    own: Ints
+    skipped: Ints
     """(P,), see `AnalyticEngine._left_out`."""
     rays: Floats
     """(P, n, 3)."""
@@ -46,7 +46,7 @@ class _Cast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays (P, *shape) met, all in the world frame."""
+    """The surfaces that rays (P, *shape) met, all in the world frame."""
 
     ranges: Floats
     """(P, *shape), metres; ``inf`` where nothing was met."""
@@ -64,15 +64,20 @@ class AnalyticEngine:
     """Casts rays at primitives by closed forms, and at the triangles of meshes and height fields:
     an `Engine`.
 
-    It keeps `Engine.cast` as MuJoCo's rays do, but for height fields: in MuJoCo's, rays from within
-    also stop at height 0, where no surface is. No ray passes between triangles that share an edge
-    or a corner. With many poses at once, `threads` share them, as many as there are processors
-    unless a number is given; one pose stays on one thread.
-    """
+    It agrees with MuJoCo's rays but for height fields: in MuJoCo, rays from within also stop at
+    height 0, where no surface is. No ray passes between triangles that share an edge or a corner.
+    Many poses at once are shared by `threads`, as many as there are processors unless a number is
+    given; one pose stays on one thread."""
 
     def __init__(self, solids: Solids, *, threads: int | None = None, parts: ArrayLike = ()):
-        """`parts` (n + m,), numbers from 0 on, say which solids belong together, for `hits` to
-        leave out."""
+        """Build the hierarchy over solids.
+
+        Args:
+            solids: The world.
+            threads: How many threads share the poses of a cast; one for each processor if None.
+            parts: (n + m,), numbers from 0 on: the part that each solid belongs to, for `hits` to
+                let rays pass through.
+        """
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
         self._solids = solids
         self._last: _Cast | None = None
@@ -93,33 +98,52 @@ class AnalyticEngine:
 
     @classmethod
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
-        """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
+        """See `lidarsim.engines.Engine.of`.
+
+        Args:
+            model: The world.
+            data: Where bodies are.
+
+        Returns:
+            The engine.
+
+        Raises:
+            ValueError: As `solids_of` does.
+        """
         # loads MuJoCo, which an engine over known solids does not need
-        from lidarsim.solids.model import solids_of
+        from lidarsim.solids import solids_of
 
         return cls(solids_of(model, data))
 
     def move(self, solids: Solids) -> None:
-        """Take the same solids at other places: the hierarchy is refitted, which is quicker than a
-        new engine.
+        """Move the engine's solids: the hierarchy is refitted, which is quicker than a new engine.
 
-        Raises ValueError for other solids than those that the engine was made of.
+        Args:
+            solids: The same solids at other places.
+
+        Raises:
+            ValueError: If they are other solids than those of the engine.
         """
-        same = ("geom", "shape", "mesh_start")
+        constant = ("geom", "shape", "mesh_start")
         if not all(
-            np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same
+            np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in constant
         ):
             raise ValueError(
                 "other solids than the engine's, expected the same ones at other places; make a "
                 "new engine"
             )
+        # the balls depend on sizes only, which seldom change
         if not np.array_equal(solids.size, self._solids.size):
             self._reach2 = squared_reaches(solids.shape, solids.size)
         self._solids, self._last = solids, None
         self._hierarchy.refit(*self._boxes())
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `lidarsim.engines.Engine.cast`."""
+        """See `lidarsim.engines.Caster.cast`.
+
+        Returns:
+            (P, *shape), metres.
+        """
         return self._meet(origins, directions, max_range_m, None)[0]
 
     def nearest(
@@ -130,8 +154,16 @@ class AnalyticEngine:
         *,
         through: ArrayLike | None = None,
     ) -> tuple[Floats, Ints]:
-        """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or
-        -1; `through` as for `hits`."""
+        """Cast rays, and tell which geoms they met.
+
+        Args:
+            origins, directions, max_range_m: As for `cast`.
+            through: As for `hits`.
+
+        Returns:
+            Ranges (P, *shape), metres, as `cast` gives them; and numbers of the geoms met, (P,
+            *shape), -1 for none.
+        """
         ranges, items, _, _ = self._meet(origins, directions, max_range_m, through)
         return ranges, self._owners[items]
 
@@ -143,14 +175,21 @@ class AnalyticEngine:
         *,
         through: ArrayLike | None = None,
     ) -> Hits:
-        """Ranges as `cast` gives them, and what was met: geom, point and normal of every ray.
+        """Cast rays, and describe the surfaces that they met.
 
-        The rays of pose p pass through the solids of part `through[p]`, (P,), of the engine's
-        `parts`; -1 is none. Where several solids are met at the same distance, it is the first of
-        them: primitives by their numbers, then meshes and height fields by theirs.
+        Of several solids at the same distance, the first is met: primitives by their numbers, then
+        meshes and height fields by theirs.
+
+        Args:
+            origins, directions, max_range_m: As for `cast`.
+            through: (P,): the part, see `parts`, that the rays of each pose pass through; -1 for
+                none.
+
+        Returns:
+            Range, geom, point and normal of every ray.
         """
-        asked = origins, directions, max_range_m, through
-        ranges, items, starts, rays = self._kept(*asked) or self._meet(*asked)
+        query = origins, directions, max_range_m, through
+        ranges, items, starts, rays = self._cached(*query) or self._meet(*query)
         solids, (points, normals) = self._solids, np.empty((2, *rays.shape))
         flat = len(starts), math.prod(rays.shape[1:-1])
         surfaces_of(
@@ -175,11 +214,11 @@ class AnalyticEngine:
         max_range_m: float,
         through: ArrayLike | None,
     ) -> tuple[Floats, Ints, Floats, Floats]:
-        """Ranges (P, *shape); which item each ray met, a primitive's number, beyond those a
-        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3).
+        """Cast rays, and cache them.
 
-        Raises ValueError as `rays_of` does: the kernel would read beyond other shapes.
-        """
+        Returns ranges (P, *shape); the item that each ray met: a primitive's number, from n on a
+        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3). Raises ValueError as
+        `rays_of` does, since the kernel would read beyond arrays of other shapes."""
         # copies, for the kernel is compiled for arrays that can be written
         starts, vectors = rays_of(origins, directions, max_range_m)
         shape = vectors.shape[:-1]
@@ -188,8 +227,9 @@ class AnalyticEngine:
         flat = rays.shape[:2]
         ranges, items = np.full(flat, np.inf), np.full(flat, -1)
         solids, tree = self._solids, self._hierarchy
-        own, turn = self._left_out(len(rays), through), _neighbours(shape[1:])
+        skipped, turn = self._left_out(len(rays), through), _neighbours(shape[1:])
 
+        # poses are independent, so that any division into threads gives the same bits
         def share(poses: slice) -> None:
             traverse(
                 starts[poses],
@@ -208,7 +248,7 @@ class AnalyticEngine:
                 tree.ends,
                 self._order,
                 self._part,
-                own[poses],
+                skipped[poses],
                 ranges[poses],
                 items[poses],
                 work_arrays(),
@@ -222,71 +262,81 @@ class AnalyticEngine:
             with ThreadPoolExecutor(shares) as pool:  # the kernel lets go of the interpreter's lock
                 list(pool.map(share, map(slice, bounds[:-1], bounds[1:])))
         small = ranges.size <= MAX_KEPT
-        self._last = _Cast(max_range_m, starts, own, rays, ranges.copy(), items) if small else None
+        # a copy of the ranges alone: they go to the caller, who may write to them
+        self._last = (
+            _Cast(max_range_m, starts, skipped, rays, ranges.copy(), items) if small else None
+        )
         return ranges.reshape(shape), items.reshape(shape), starts, vectors
 
-    def _kept(
+    def _cached(
         self,
         origins: ArrayLike,
         directions: ArrayLike,
         max_range_m: float,
         through: ArrayLike | None,
     ) -> tuple[Floats, Ints, Floats, Floats] | None:
-        """What `_meet` gives for the rays of one pose, where they are among those cast last."""
+        """Return the result of `_meet` for the rays of one pose, if they are among the last cast;
+        else None."""
         last = self._last  # another thread may cast meanwhile
         starts, rays = np.asarray(origins, float), np.asarray(directions, float)
         shape = rays.shape[:-1]
         single = starts.shape == shape[:1] + rays.shape[-1:] == (1, 3)
         if last is None or last.max_range_m != max_range_m or not single:
             return None
-        same = (last.starts == starts).all(axis=1) & (last.own == self._left_out(1, through))
-        for pose in np.flatnonzero(same):
+        candidates = (last.starts == starts).all(axis=1) & (
+            last.skipped == self._left_out(1, through)
+        )
+        for pose in np.flatnonzero(candidates):
             if np.array_equal(last.rays[pose], rays.reshape(-1, 3)):
                 ranges, items = last.ranges[pose].copy(), last.items[pose]
-                kept = last.starts[pose : pose + 1], last.rays[pose].reshape(rays.shape)
-                return ranges.reshape(shape), items.reshape(shape), *kept
+                rays_cast = last.starts[pose : pose + 1], last.rays[pose].reshape(rays.shape)
+                return ranges.reshape(shape), items.reshape(shape), *rays_cast
         return None
 
     def _left_out(self, poses: int, through: ArrayLike | None) -> Ints:
-        """The part that the rays of each pose pass through, (P,); -1 for none."""
-        own = np.full(poses, -1)
+        """Return the part that the rays of each pose pass through, (P,); -1 for none."""
+        skipped = np.full(poses, -1)
         if through is not None and len(self._part):
-            own[:] = through
-        return own
+            skipped[:] = through
+        return skipped
 
     @cached_property
     def _owners(self) -> Ints:
-        """The geoms that items belong to, (n + T + 1,): the last one is -1, which the item -1
-        finds."""
+        """Geoms that items belong to, (n + T + 1,).
+
+        The last one is -1, to which the item -1 leads."""
         return np.append(_by_item(self._solids, self._solids.geom), -1)
 
     def _boxes(self) -> tuple[Floats, Floats]:
-        """Boxes of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
+        """Compute boxes of the hierarchy's items: least and greatest corners, (k, 3) each."""
         solids, inside = self._solids, self._bounded
+        # `ModelSolids.at` returns the same array while no mesh moves
         if self._around[0] is not solids.triangles:
             self._around = (
                 solids.triangles,
                 solids.triangles.min(axis=1),
                 solids.triangles.max(axis=1),
             )
-        _, least, greatest = self._around
-        return np.concatenate([solids.lower, least])[inside], np.concatenate(
-            [solids.upper, greatest]
+        _, lowest, highest = self._around
+        return np.concatenate([solids.lower, lowest])[inside], np.concatenate(
+            [solids.upper, highest]
         )[inside]
 
 
 @lru_cache(maxsize=2)
 def _neighbours(shape: tuple[int, ...]) -> NDArray[np.uint64]:
-    """The numbers of the rays (*shape) of a pose, tile by tile of the last two axes; rays in a row
-    make tiles of one row."""
+    """Order the rays (*shape) of a pose tile by tile of the last two axes.
+
+    Returns their numbers. Rays in a row make tiles of one row."""
     *_, rows, columns = 1, 1, *shape
     number = np.arange(math.prod(shape))
     row, column = number // columns, number % columns
     tall, broad = (TILE, TILE) if rows > 1 else (1, LANES)
+    # the sort is stable, so rays of a tile stay row by row
     return np.lexsort((column // broad, row // tall)).astype(np.uint64)
 
 
 def _by_item(solids: Solids, values: Ints) -> Ints:
-    """Values (n + m,) of solids as values (n + T,) of primitives and triangles."""
+    """Repeat values (n + m,) of solids as values (n + T,) of primitives and triangles."""
     plain = len(solids.shape)
     return np.concatenate([values[:plain], np.repeat(values[plain:], np.diff(solids.mesh_start))])

@@ -1,4 +1,4 @@
-"""Rays through MuJoCo's own ray caster, `mj_multiRay`."""
+"""Ray casting by MuJoCo's own `mj_multiRay`."""
 
 import copy
 from typing import Self
@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.grid import Floats, rays_of
-from lidarsim.solids.model import check_forwarded, visible_geoms
+from lidarsim.solids import check_forwarded, visible_geoms
 
-NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+NEAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within
 range."""
 SPARE_M = 1e-6
-"""How much larger geoms' boxes are in that copy: what is left out by them does not depend on
-rounding."""
+"""Padding of geoms' boxes in that copy, metres: rounding then decides on no geom."""
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""If its squared length is so near to 1, a vector is taken as it is; beyond, it is made a unit
-vector."""
+"""Vectors whose squared length is within this of 1 are used unchanged; others are scaled to
+length 1."""
 
 
 class MujocoEngine:
@@ -41,7 +40,15 @@ class MujocoEngine:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
-        """See `lidarsim.engines.Engine.of`."""
+        """See `lidarsim.engines.Engine.of`.
+
+        Args:
+            model: The world.
+            data: Where bodies are.
+
+        Returns:
+            The engine; a later change of `data` is seen by the next cast.
+        """
         if data is None:
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
@@ -49,8 +56,14 @@ class MujocoEngine:
         return cls(model, data)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
-        forwarded, or hold places that are no numbers."""
+        """See `lidarsim.engines.Caster.cast`.
+
+        Returns:
+            (P, *shape), metres.
+
+        Raises:
+            ValueError: If data were never forwarded, or arrays have wrong shapes.
+        """
         starts, vectors = rays_of(origins, directions, max_range_m)
         check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], np.float64)
@@ -59,24 +72,26 @@ class MujocoEngine:
         lower, upper = _boxes(self._model, self._data)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             length2 = (vectors * vectors).sum(axis=-1)
-            odd, rough = (~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED))
+            invalid, rough = (
+                ~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED)
+            )
             if rough.any():  # MuJoCo would count in lengths of the vector, and stop at one without
                 vectors[rough] /= np.sqrt(length2[rough])[:, None]
-                vectors[odd] = 1.0, 0.0, 0.0
+                vectors[invalid] = 1.0, 0.0, 0.0
         count = int(np.prod(ranges.shape[1:]))
         geoms, distances = np.empty(count, np.int32), np.empty(count)
         for p, origin in enumerate(starts):
             if not np.isfinite(origin).all():
-                odd[p] = True
+                invalid[p] = True
                 continue
-            away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
-            self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
+            gap = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
+            self._model.geom_group[:] = (gap**2).sum(axis=1) > max_range_m * max_range_m
             mujoco.mj_multiRay(
                 self._model,
                 self._data,
                 origin,
                 vectors[p].reshape(-1),
-                NEAR_ALONE,
+                NEAR_GROUPS,
                 True,  # static geoms too
                 -1,  # no body left out
                 geoms,
@@ -87,12 +102,12 @@ class MujocoEngine:
             )
             missed = (geoms < 0) | (distances > max_range_m)
             ranges[p] = np.where(missed, np.inf, distances).reshape(ranges[p].shape)
-        ranges[odd] = np.inf
+        ranges[invalid] = np.inf
         return ranges
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, Floats]:
-    """Least and greatest corners (ngeom, 3) of the geoms' boxes; planes have no bounds."""
+    """Compute least and greatest corners (ngeom, 3) of the geoms' boxes; infinite for planes."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("gab,gb->ga", rotation, model.geom_aabb[:, :3])
     half = np.einsum("gab,gb->ga", np.abs(rotation), model.geom_aabb[:, 3:])
@@ -104,9 +119,8 @@ def _search_every_body(model: mujoco.MjModel) -> None:
     """Make rays find visible geoms that collide with nothing.
 
     mj_multiRay searches a body only if the ray meets the ball around the body's *colliding* geoms
-    (mj_ray has no such shortcut). Where that could hide something, the balls are made as good as
-    infinite.
-    """
+    (mj_ray has no such shortcut). If that could hide a geom, the balls are made practically
+    infinite."""
     ghosts = visible_geoms(model) & (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     if ghosts.any():
         roots = model.body_bvhadr[model.body_bvhadr >= 0]

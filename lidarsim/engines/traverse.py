@@ -1,10 +1,9 @@
 """The walk of rays through the hierarchy: neighbours together, nearest boxes first, closed forms in
-its leaves.
+the leaves.
 
 Rays of a pose that run nearly the same way are walked as one packet (Wald et al. 2001). A box or a
-solid is left out where it lies beside the pyramid around them all (Reshetov et al. 2005); what is
-left, each ray meets by itself, so that a packet changes no bit.
-"""
+solid is skipped if it lies beside the pyramid around them all (Reshetov et al. 2005). Each ray
+meets the rest by itself, so that packets change no bit."""
 
 import math
 from typing import Any
@@ -22,42 +21,40 @@ from lidarsim.engines.forms import (
 )
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import SPHERE, joining, local
+from lidarsim.solids import SPHERE, joining, local
 
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""If its squared length is so near to 1, a vector is taken as it is, and its bits stay: a `Pose`'s
-quaternion may leave that much. Beyond, it is made a unit vector."""
+"""Vectors whose squared length is within this of 1 keep their bits: a `Pose`'s quaternion may leave
+that much. Others are scaled to length 1."""
 FARTHER = 1.0 - 2.0 * ROUNDED
-"""The least share of a squared distance that is left, however it and the vector were rounded."""
+"""Lower bound of a squared distance after rounding, as a share of it."""
 NEGLIGIBLE = 1e-20
-"""What is added to a ball's squared radius, in shares of its squared distance, so that rounding
-loses none."""
+"""Padding of a ball's squared radius against rounding, as a share of its squared distance."""
 TILE = 4
 """Rows and columns of rays that are walked together."""
 LANES = TILE * TILE
 """The most rays of a packet."""
 STEEP = 0.3
-"""Rays of a packet run at least so far along its axis for a metre of their own, metres."""
+"""The least cosine between a packet's rays and its axis."""
 SPREAD = 1.5
-"""How wide a packet is at most after a metre along its axis, metres."""
+"""The greatest width of a packet after a metre along its axis, metres."""
 WORTH = 16
-"""A packet that takes more steps than this for each of its rays gains nothing: among small
-triangles, rays go alone."""
+"""A packet that takes more steps than this for each of its rays gains nothing and is split: among
+small triangles, single rays are faster."""
 PATIENCE = 8
 """The number of packets that must succeed before larger ones are tried."""
 
 
 def work_arrays() -> tuple[Any, ...]:
-    """What `traverse` works in; made here, for numba takes half a second to compile what makes
-    arrays.
+    """Make the arrays that `traverse` works in.
 
-    Of every lane, a ray of the packet: its direction and the inverse of that, its number, the
-    distance of the nearest item so far, that item (their number for no item), and whether it missed
-    the last one. Then the stack of children that are still to be entered, the nearest last, and
-    where each begins; and where the children of one node begin.
-    """
+    They are made here, since numba takes half a second to compile their creation. Of every lane, a
+    ray of the packet: its direction and the inverse of that, its number, the distance of the
+    nearest item so far, that item (the count of items for none), and whether it missed the last
+    one. Then the stack of children to be entered, the nearest last, and the distances where they
+    begin; and where the children of one node begin."""
     return (
         np.empty((6, LANES)),
         np.empty(LANES, np.uint64),
@@ -93,14 +90,13 @@ def traverse(
     items,
     work,
 ):
-    """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3), metres, in
-    the world; see `AnalyticEngine`. A ray that meets nothing leaves both as they are.
+    """Fill ranges (P, n) and items (P, n) of rays. A ray that meets nothing leaves both unchanged.
 
     Args:
-        origins: (P, 3). A pose that is not finite meets nothing.
-        directions: (P, n, 3). Vectors that are no unit vectors meet nothing; those that are nearly
-            so are made so in place.
-        max_range_m: How far rays go.
+        origins: (P, 3), metres, in the world. A pose that is not finite meets nothing.
+        directions: (P, n, 3), in the world. Vectors that are not nearly of unit length meet
+            nothing; the others are scaled to it in place.
+        max_range_m: How far rays go, metres.
         turn: (n,): the numbers of rays, neighbours one after the other.
         shape, size, position, rotation: Of the m primitives: (m,), (m, 3), (m, 3), (m, 3, 3). Items
             from m on are triangles.
@@ -113,11 +109,12 @@ def traverse(
         order: The items, leaf by leaf.
         part: (items,): the part of the scene that an item belongs to.
         through: (P,): the part whose items a pose's rays pass through; -1 for none.
-        work: `work_arrays`.
+        ranges, items: Results, (P, n) each.
+        work: From `work_arrays`.
 
     Numbers of nodes, items and lanes are unsigned: for signed ones numba allows for negative
-    indices, a tenth of the time. Tests over children and over lanes are free of branches, which
-    cannot be foreseen here and would cost more than what they save.
+    indices, a tenth of the time. Tests over children and over lanes have no branches: the processor
+    could not predict them, and a wrong prediction costs more than the test saves.
     """
     plain, none = np.uint64(len(shape)), np.uint64(len(shape) + len(triangles))
     wide, root = np.uint64(WIDTH), np.uint64(WIDTH * len(boxes))
@@ -127,11 +124,11 @@ def traverse(
         ox, oy, oz = origin[0], origin[1], origin[2]
         if not abs(ox) + abs(oy) + abs(oz) < math.inf:
             continue
-        # packets of up to `most` rays: halved where one gains nothing, doubled after `PATIENCE`
+        # packets of up to `limit` rays: halved where one gains nothing, doubled after `PATIENCE`
         # that succeed
-        start, most, patience = 0, LANES, 0
+        start, limit, patience = 0, LANES, 0
         while start < len(turn):
-            end = min(start + most, len(turn))
+            end = min(start + limit, len(turn))
             count, u, v, w, u0, u1, v0, v1, slowest, fastest = _pack(
                 directions[pose], turn[start:end], ray, lanes
             )
@@ -140,7 +137,7 @@ def traverse(
                 continue
             # rays that run too far apart are packed anew, fewer at a time
             if count > 1 and not (slowest >= STEEP and max(u1 - u0, v1 - v0) <= SPREAD):
-                most, patience = most // 2, 0
+                limit, patience = limit // 2, 0
                 continue
             # planes have no end, and so no box: every ray meets them first
             for i in range(count):
@@ -205,8 +202,8 @@ def traverse(
                             continue
                         # then against each ray; what is left is met in closed form
                         for i in range(count):
-                            beyond = best[i] + radius
-                            missed[i] = (apart2 > beyond * beyond) | passes(
+                            reach = best[i] + radius
+                            missed[i] = (apart2 > reach * reach) | passes(
                                 reach2[g], sx, sy, sz, ray[0, i], ray[1, i], ray[2, i]
                             )
                         for i in range(count):
@@ -267,25 +264,24 @@ def traverse(
                     pending += 1
             # given up on the way: these rays are walked again, fewer at a time
             if steps < 0 and count > 1:
-                most, patience = most // 2, 0
+                limit, patience = limit // 2, 0
                 continue
             for i in range(count):
                 if item[i] < none:
                     ranges[pose, lanes[i]], items[pose, lanes[i]] = best[i], item[i]
             start, patience = end, patience + 1
             if patience == PATIENCE:
-                most, patience = min(2 * most, LANES), 0
+                limit, patience = min(2 * limit, LANES), 0
 
 
 @kernel
 def _pack(directions, turn, ray, lanes):
-    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their
-    numbers in `lanes`; those of other lengths are left out.
+    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their numbers in
+    `lanes`; skip vectors of other lengths.
 
-    Returns how many there are; the axes u, v and w, along which they run fastest; their least and
+    Returns the count of rays; the axes u, v and w, along which they run fastest; their least and
     greatest slopes along u and v for a metre along w; and how far the slowest and the fastest run
-    along w for a metre of their own.
-    """
+    along w for a metre of their own."""
     count, x, y, z = np.uint64(0), 0.0, 0.0, 0.0
     for n in turn:
         dx, dy, dz = directions[n, 0], directions[n, 1], directions[n, 2]
@@ -298,6 +294,7 @@ def _pack(directions, turn, ray, lanes):
             directions[n, 0], directions[n, 1], directions[n, 2] = dx, dy, dz
         ray[0, count], ray[1, count], ray[2, count], lanes[count] = dx, dy, dz, n
         x, y, z, count = x + dx, y + dy, z + dz, count + np.uint64(1)
+    # of the sum of all rays, the packet's direction
     u, v, w = axes(x, y, z)
     sign = 1.0 if ray[w, 0] > 0.0 else -1.0
     u0, u1, v0, v1, slowest, fastest = math.inf, -math.inf, math.inf, -math.inf, math.inf, 0.0
@@ -310,40 +307,56 @@ def _pack(directions, turn, ray, lanes):
 
 
 @kernel
-def _sides(axis, least, most):
-    """Where a pyramid whose slopes along an axis go from `least` to `most` comes into a box.
+def _sides(axis, low, high):
+    """Return where a pyramid with slopes from `low` to `high` along an axis enters a box.
 
-    Returns the row of a node's boxes that it meets first and the inverse of the steepest slope
+    That is the row of a node's boxes that it meets first and the inverse of the steepest slope
     towards it; the other row and the inverse of the other slope; and whether slopes have both
-    signs: then it comes in at either side, and goes out at none.
-    """
+    signs: then it enters at either side, and leaves at none."""
     above = axis + np.uint64(3)
-    if least >= 0.0:
-        return axis, inverse(most), above, inverse(least), False
-    if most <= 0.0:
-        return above, inverse(least), axis, -inverse(-most), False
-    return axis, inverse(most), above, -inverse(-least), True
+    if low >= 0.0:
+        return axis, inverse(high), above, inverse(low), False
+    if high <= 0.0:
+        return above, inverse(low), axis, -inverse(-high), False
+    return axis, inverse(high), above, -inverse(-low), True
 
 
 @kernel
 def _nearer(t, g, best, item):
-    """Whether item g at distance t comes before `item` at `best`: of two at one place, the first
-    does."""
+    """Return whether item g at t comes before `item` at `best`; the lower number wins a tie."""
     return t < best or (t == best and g < item)
 
 
 @kernel
 def passes(reach2, sx, sy, sz, x, y, z):
-    """Whether a ray from s along the unit vector (x, y, z) misses the ball about 0 of squared
-    radius `reach2`, or leaves it behind: quicker than the solid in it."""
+    """Test whether a ray misses a ball about 0, or leaves it behind: quicker than the solid in it.
+
+    Args:
+        reach2: The ball's squared radius, m².
+        sx, sy, sz: Where the ray begins, metres.
+        x, y, z: Its direction, a unit vector.
+
+    Returns:
+        True if the ray surely misses.
+    """
     along, apart2 = sx * x + sy * y + sz * z, sx * sx + sy * sy + sz * sz
     return apart2 * FARTHER - along * along > reach2 or (along > 0.0 and apart2 > reach2)
 
 
 @kernel
 def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
-    """Distance from s, seen from its centre, along the unit vector (x, y, z) to primitive g of n,
-    which is no plane; inf where it is not met."""
+    """Find the distance to a primitive that is not a plane.
+
+    Args:
+        g: The primitive's number.
+        shape, size, rotation: Of the n primitives: (n,), (n, 3), (n, 3, 3).
+        sx, sy, sz: Where the ray begins, relative to its centre, world axes, metres.
+        x, y, z: Its direction, a unit vector in the world.
+
+    Returns:
+        Metres; inf where the ray misses.
+    """
+    # a ball looks the same in every frame
     if shape[g] == SPHERE:
         return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
     px, py, pz = local(rotation[g], sx, sy, sz)
@@ -353,7 +366,7 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
 
 @kernel
 def inverse(d):
-    """1 / d, or what is as good and finite where the ray runs along the slab."""
+    """Return 1 / d, or a large finite number for a ray parallel to the slab, to avoid 0 · inf."""
     return 1.0 / d if abs(d) > 1e-300 else 1e300
 
 
@@ -361,8 +374,16 @@ def inverse(d):
 def surfaces_of(
     items, ranges, starts, rays, shape, size, position, rotation, triangles, points, normals
 ):
-    """Fill in the points (P, n, 3) and unit normals of what rays of P poses met, items (P, n); NaN
-    where that is nothing."""
+    """Compute points and normals of the surfaces that rays of P poses met.
+
+    Args:
+        items: (P, n): what each ray met, as `traverse` numbers it; negative for nothing.
+        ranges: (P, n), metres.
+        starts: (P, 3), metres, in the world.
+        rays: (P, n, 3), unit vectors in the world.
+        shape, size, position, rotation, triangles: As for `traverse`.
+        points, normals: Results, (P, n, 3) each, in the world; NaN where nothing was met.
+    """
     for p in range(len(starts)):
         for n in range(items.shape[1]):
             g, point = items[p, n], points[p, n]
@@ -376,6 +397,7 @@ def surfaces_of(
                 a, b, c = triangles[g - len(shape)]
                 ux, uy, uz = joining(a, b)
                 vx, vy, vz = joining(a, c)
+                # the cross product of two edges
                 x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
                 length = math.sqrt(x * x + y * y + z * z)
                 for axis, part in enumerate((x, y, z)):
@@ -385,5 +407,6 @@ def surfaces_of(
                 px, py, pz = local(rotation[g], sx, sy, sz)
                 x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
                 for axis in range(3):
+                    # the rotation takes the normal to the world's frame
                     turn = rotation[g, axis]
                     normals[p, n, axis] = turn[0] * x + turn[1] * y + turn[2] * z

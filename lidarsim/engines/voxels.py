@@ -1,5 +1,5 @@
-"""Rays through a map of voxels, each occupied, free or unknown: what a robot's mapping keeps of a
-real place."""
+"""Ray casting through a map of occupied, free and unknown voxels, such as a robot's map of a real
+place."""
 
 import math
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from lidarsim.jit import kernel
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
 LEAST_CHORD_M = 1e-4
-"""A ray meets an occupied voxel when it runs this far in it: the middle of that way lies in the
-voxel also when the range is rounded to float32, up to a kilometre."""
+"""A ray meets an occupied voxel if it runs this far in it. The middle of that chord then lies in
+the voxel also after the range is rounded to float32, up to a kilometre."""
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelMap:
-    """What is known of a place. What lies beyond the map is unknown."""
+    """A map of a place. Space beyond the map is unknown."""
 
     states: NDArray[np.uint8]
     """(nx, ny, nz): `UNKNOWN`, `FREE` or `OCCUPIED`; x y z in that order, z up."""
@@ -38,26 +38,37 @@ class VoxelMap:
 class VoxelEngine:
     """Casts rays through a `VoxelMap` from voxel to voxel (Amanatides and Woo 1987).
 
-    A map does not say where in a voxel the surface lies. A ray that meets an occupied voxel returns
-    from the middle of its way through it, so that a return lies in that voxel. Rays pass through
-    unknown voxels; `cross` tells how far.
-    """
+    A map does not tell where in a voxel the surface lies. A ray that meets an occupied voxel
+    returns from the middle of its chord, so that a return lies in that voxel. Rays pass through
+    unknown voxels; `cross` tells how far."""
 
     def __init__(self, voxels: VoxelMap):
         self.voxels = voxels
         self._last: tuple[Floats, ...] = ()
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `lidarsim.engines.Engine.cast`, but for the rays from within a solid: they meet the
-        voxel in which they begin."""
+        """See `lidarsim.engines.Caster.cast`; a ray that begins in an occupied voxel meets that
+        voxel.
+
+        Returns:
+            (P, *shape), metres.
+        """
         return self.cross(origins, directions, max_range_m)[0]
 
     def cross(
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
     ) -> tuple[Floats, Floats]:
-        """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
-        it returns, or within `max_range_m`; both (P, *shape). Who asks after `cast` for the same
-        rays pays nothing: one walk gives both."""
+        """Cast rays, and measure the unknown space that they cross.
+
+        The last result is cached, so `cross` after `cast` of the same rays is free.
+
+        Args:
+            origins, directions, max_range_m: As for `cast`.
+
+        Returns:
+            Ranges as `cast` gives them; and metres of unknown space before the return, or within
+            `max_range_m`; both (P, *shape).
+        """
         self.mostly_known(origins, directions, max_range_m)
         return self._last[-2].copy(), self._last[-1].copy()
 
@@ -69,12 +80,21 @@ class VoxelEngine:
         most_unknown_m: float = math.inf,
         most_share: float = 1.0,
     ) -> bool:
-        """Whether a share of the rays of `most_share` at most crosses more metres of unknown space
-        than `most_unknown_m`. It walks no farther than it must to say no; after a yes, `cross` has
-        nothing to do."""
+        """Test whether few rays cross much unknown space.
+
+        It walks only as far as a "no" needs; after a "yes", `cross` of the same rays is free.
+
+        Args:
+            origins, directions, max_range_m: As for `cast`.
+            most_unknown_m: A ray that crosses more metres of unknown space than this is marked.
+            most_share: The greatest share of marked rays.
+
+        Returns:
+            Whether the share of marked rays is at most `most_share`.
+        """
         starts, rays = rays_of(origins, directions, max_range_m)
-        shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
-        if not (self._last and all(map(np.array_equal, self._last, asked))):
+        shape, query = rays.shape[:-1], (starts, rays, np.array(max_range_m))
+        if not (self._last and all(map(np.array_equal, self._last, query))):
             ranges, unknown = np.full(shape, np.inf), np.empty(shape)
             count = int(np.prod(shape[1:]))
             if not _cast(
@@ -91,7 +111,7 @@ class VoxelEngine:
                 shape[-1],
             ):
                 return False
-            self._last = *asked, ranges, unknown
+            self._last = *query, ranges, unknown
         return bool((self._last[-1] > most_unknown_m).mean() <= most_share)
 
 
@@ -105,17 +125,19 @@ def _cast(
     origin,
     ranges,
     unknown,
-    most_unknown_m,
-    most_share,
+    max_unknown_m,
+    max_share,
     columns,
 ):
-    """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3), unless more
-    than `most_share` of the rays cross more than `most_unknown_m`: False. Rays that do so are
-    walked to their ends only when that is decided, in the third sweep. In the first, from the last
-    row of `columns` rays on, which looks up, are those above which one does so: most do, too."""
+    """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3).
+
+    Returns False as soon as more than `max_share` of the rays cross more than `max_unknown_m`.
+    Three sweeps decide that early. The first starts at the last row of `columns` rays, which looks
+    up, and skips the rays below a row that is not marked. The second walks those, both only up to
+    the limit. The third walks the marked rays to their ends."""
     marked, unknown[:] = 0, -1.0
     for sweep in range(3):
-        limit = math.inf if sweep == 2 else most_unknown_m
+        limit = math.inf if sweep == 2 else max_unknown_m
         for p in range(len(origins)):
             if not abs(origins[p, 0]) + abs(origins[p, 1]) + abs(origins[p, 2]) < math.inf:
                 unknown[p] = 0.0
@@ -125,7 +147,7 @@ def _cast(
                 if sweep == 1:
                     left_out = unknown[p, n] >= 0.0
                 else:
-                    left_out = above < len(unknown[p]) and not unknown[p, above] > most_unknown_m
+                    left_out = above < len(unknown[p]) and not unknown[p, above] > max_unknown_m
                 if left_out:
                     continue
                 unknown[p, n] = 0.0
@@ -144,15 +166,16 @@ def _cast(
                     )
                 if unknown[p, n] > limit:
                     marked += 1
-                    if marked / ranges.size > most_share:
+                    if marked / ranges.size > max_share:
                         return False
     return True
 
 
 @kernel
-def _first(position, direction, max_range_m, states, voxel_m, origin, most_unknown_m):
-    """The range of one ray, and the metres of unknown space on its way; only that these are more
-    than `most_unknown_m`, where they are."""
+def _first(position, direction, max_range_m, states, voxel_m, origin, max_unknown_m):
+    """Return one ray's range, and metres of unknown space up to it.
+
+    If these exceed `max_unknown_m`, the walk ends there, and the range is not valid."""
     nx, ny, nz = states.shape
     sx, px, in_x, out_x = slab(position[0], origin[0], direction[0], nx, voxel_m)
     sy, py, in_y, out_y = slab(position[1], origin[1], direction[1], ny, voxel_m)
@@ -160,6 +183,7 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, most_unkno
     t = max(max(in_x, in_y), max(in_z, 0.0))
     leave = min(min(out_x, out_y), out_z)
     if not leave > t or t >= max_range_m:
+        # beside the map all is unknown
         return math.inf, max_range_m
     unknown = t
     i, ux, bx, tx = enter(sx, t, px, nx)
@@ -169,23 +193,23 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, most_unkno
     cells, cell = states.reshape(-1), (i * ny + j) * nz + k
     while True:
         # each crossing is computed from its boundary's own number: errors do not add up
-        state, at = cells[np.uint64(cell)], min(leave, min(tx, min(ty, tz)))
-        if state != FREE and at > t:
+        state, crossing = cells[np.uint64(cell)], min(leave, min(tx, min(ty, tz)))
+        if state != FREE and crossing > t:
             if state == UNKNOWN:
-                unknown += min(at, max_range_m) - t
-                if unknown > most_unknown_m:
+                unknown += min(crossing, max_range_m) - t
+                if unknown > max_unknown_m:
                     break
-            elif at - t >= LEAST_CHORD_M:
-                middle = t + 0.5 * (at - t)
+            elif crossing - t >= LEAST_CHORD_M:
+                middle = t + 0.5 * (crossing - t)
                 return (middle if middle <= max_range_m else math.inf), unknown
-        t = max(t, at)
-        if at >= leave or t >= max_range_m:
+        t = max(t, crossing)
+        if crossing >= leave or t >= max_range_m:
             break
-        if tx == at:
+        if tx == crossing:
             cell += dx
             bx += ux
             tx = (bx - sx) * px
-        elif ty == at:
+        elif ty == crossing:
             cell += dy
             by += uy
             ty = (by - sy) * py
@@ -197,16 +221,27 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, most_unkno
 
 
 STILL = 1e-300
-"""A ray whose direction has less than this along an axis stands still there: a voxel would take it
-an infinite way, and infinity times no way at all is NaN."""
+"""Below this along an axis, the ray counts as perpendicular to it. This avoids inf · 0."""
 
 
 @kernel
 def slab(position, origin, direction, count, voxel_m):
-    """Along one axis: where a ray starts, counted in voxels from a grid's origin; metres of ray per
-    voxel (0 for a ray that stands still there); and where it enters and leaves the grid."""
+    """Intersect a ray with a grid along one axis.
+
+    Args:
+        position: Where the ray begins, metres.
+        origin: Where the grid begins, metres.
+        direction: The ray's component.
+        count: Voxels of the grid.
+        voxel_m: Edge of a voxel, metres.
+
+    Returns:
+        The ray's start, in voxels from the grid's origin; metres of ray per voxel, 0 if the ray is
+        perpendicular to the axis; and the distances where it enters and leaves the grid, metres.
+    """
     start = (position - origin) / voxel_m
     if abs(direction) < STILL:
+        # the interval is all distances, or none
         inside = 0.0 <= start < float(count)
         return start, 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
     pace = voxel_m / direction
@@ -216,11 +251,22 @@ def slab(position, origin, direction, count, voxel_m):
 
 @kernel
 def enter(start, t, pace, count):
-    """The voxel's number along one axis at distance `t`, in which sense it changes, the boundary
-    ahead of it, and where the ray crosses that."""
+    """Find the voxel of a ray along one axis, and its next boundary.
+
+    Args:
+        start: The ray's start, in voxels.
+        t: A distance along the ray, metres.
+        pace: Metres of ray per voxel.
+        count: Voxels of the grid.
+
+    Returns:
+        The voxel's number; +1, -1 or 0 by which it changes next; the boundary ahead, in voxels; and
+        the distance where the ray crosses that, metres.
+    """
     if pace == 0.0:
         return math.floor(start), 0.0, 0.0, math.inf
-    at = min(max(math.floor(start + t / pace), 0), count - 1)
+    # clamped: at the grid's face, rounding may lead outside
+    cell = min(max(math.floor(start + t / pace), 0), count - 1)
     if pace > 0.0:
-        return at, 1.0, float(at + 1), (float(at + 1) - start) * pace
-    return at, -1.0, float(at), (float(at) - start) * pace
+        return cell, 1.0, float(cell + 1), (float(cell + 1) - start) * pace
+    return cell, -1.0, float(cell), (float(cell) - start) * pace

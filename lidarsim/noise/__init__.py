@@ -1,12 +1,11 @@
-"""What a real sensor adds to clean ranges: stages that compose, drawn from an explicit `rng`.
+"""Sensor noise: stages that turn clean ranges into a real sensor's, drawn from an explicit `rng`.
 
     chain = Noise.parse("divergence:3,range:0.02,dropout:0.05")
     seen = chain.observe(scan, engine, rng=np.random.default_rng(0))
 
-`ranges` has the faults of a range itself, and beams that are cones; `losses` has returns that go
-missing or are of nothing, and motion; `returns` has intensity, and what stages pass on. `chance`
-draws normal numbers. `chain` reads and applies them.
-"""
+`ranges` has errors of the range itself, and beams that are cones; `losses` has missing and spurious
+returns, and motion; `returns` has intensity, random numbers, and the data that stages pass on.
+`chain` reads and applies stages."""
 
 from __future__ import annotations
 
@@ -30,16 +29,25 @@ class Stage(Protocol):
     bits."""
 
     order: int
-    """When its turn is: 0 for where rays begin and go, 1 for what else is cast around them, 2 for
-    what becomes of the returns. A chain has one stage of 0 and one of 1 at most."""
+    """Its place in a chain: 0 if it changes where rays begin and go, 1 if it casts more rays around
+    them, 2 if it changes returns. A chain has at most one stage of 0 and one of 1."""
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """What is left of `returns`, and where."""
+        """Apply the fault to returns.
+
+        Args:
+            returns: The returns so far.
+            view: The sensor in its world, for stages that cast rays or need surfaces.
+            rng: The stage's own stream.
+
+        Returns:
+            The returns after the fault.
+        """
         ...
 
     def bound_m(self, max_range_m: float) -> float:
-        """How far at most it moves a return of a sensor of that range, metres; inf where nothing
-        bounds it."""
+        """Return how far it moves a return at most, metres, of a sensor of that range; inf for no
+        bound."""
         ...
 
 

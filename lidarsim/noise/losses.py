@@ -1,5 +1,4 @@
-"""Returns that go missing, returns of nothing, and a sensor that moves while it scans: rolling
-shutter."""
+"""Missing returns, spurious returns, and a sensor that moves while it scans: rolling shutter."""
 
 import math
 from dataclasses import dataclass
@@ -9,26 +8,37 @@ from numpy.random import Generator
 
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.grid import Floats, Mask
-from lidarsim.noise.chance import normal
-from lidarsim.noise.returns import Fault, Returns, View, grouped
+from lidarsim.noise.returns import Fault, Returns, View, grouped, normal
 from lidarsim.parameters import number
 from lidarsim.pose import rotate
 
 TEN_PERCENT = 0.1
-"""The reflectivity for which data sheets give a range."""
+"""The reflectivity of the target for which data sheets give a range."""
 
 
 class Loss(Fault):
-    """Returns are lost, each by a chance of its own."""
+    """A stage that loses returns, each by its own probability."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
-        """See `Stage.apply`."""
+        """Lose returns; see `Stage.apply`.
+
+        Returns:
+            The same returns, with ``inf`` for the lost ones.
+        """
         lost = self.lost(rng.random(returns.ranges.shape), returns, view)
         return returns.but(ranges=np.where(lost, np.inf, returns.ranges))
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
-        """Which returns are lost, (echoes, *shape): those whose number of `drawn`, even from 0 to
-        1, is below their chance."""
+        """Choose the returns that are lost.
+
+        Args:
+            drawn: (echoes, *shape), uniform from 0 to 1.
+            returns: The returns.
+            view: The sensor in its world.
+
+        Returns:
+            (echoes, *shape): whether `drawn` is below the return's probability of loss.
+        """
         raise NotImplementedError
 
 
@@ -40,7 +50,11 @@ class Dropout(Loss):
     """The probability."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
-        """See `Loss.lost`."""
+        """Lose all alike; see `Loss.lost`.
+
+        Returns:
+            (echoes, *shape).
+        """
         return drawn < self.share
 
 
@@ -54,17 +68,23 @@ class Far(Loss):
     """How it grows: 1 evenly, 2 with the square."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
-        """See `Loss.lost`."""
+        """Lose by range; see `Loss.lost`.
+
+        Returns:
+            (echoes, *shape).
+        """
         part = np.minimum(returns.ranges / view.sensor.max_range_m, 1.0)
+        # products give the same bits on every processor; NumPy's power does not
         whole = math.floor(self.power)
         chance = self.share * math.prod([part] * whole, start=np.ones(part.shape))
         if self.power == whole:
             return drawn < chance
-        # part^rest lies between its weighted harmonic and arithmetic means with 1: few are open
-        rest = self.power - whole
-        lost = drawn < chance * (1.0 - rest * (1.0 - part))
-        unsure = lost & (drawn >= chance * part / (part + rest * (1.0 - part)))
-        lost[unsure] = drawn[unsure] < (chance[unsure] * exp(rest * log(part[unsure])))
+        # part^fraction lies between the weighted harmonic and arithmetic means of part and 1; the
+        # power itself is computed only where `drawn` lies between these two
+        fraction = self.power - whole
+        lost = drawn < chance * (1.0 - fraction * (1.0 - part))
+        unsure = lost & (drawn >= chance * part / (part + fraction * (1.0 - part)))
+        lost[unsure] = drawn[unsure] < (chance[unsure] * exp(fraction * log(part[unsure])))
         return lost
 
 
@@ -77,9 +97,13 @@ class Grazing(Loss):
     """Angle between ray and normal from which returns are lost, degrees."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
-        """See `Loss.lost`."""
+        """Lose by the angle of incidence; see `Loss.lost`.
+
+        Returns:
+            (echoes, *shape).
+        """
         cosine = view.surfaces(returns)[0]
-        # lost if the surface is flatter to the ray than this angle, which is even up to the limit
+        # lost if the ray's elevation above the surface is below a uniform angle up to the limit
         angle = math.radians(90.0 - self.from_deg) * (1.0 - drawn)
         square = angle * angle
         below = angle * (1.0 - square / 6.0)  # the sine lies between two sums of its series
@@ -105,9 +129,14 @@ class Faint(Fault):
     """How much that range varies from return to return, as a share of it."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
-        """See `Stage.apply`."""
+        """Lose weak returns; see `Stage.apply`.
+
+        Returns:
+            The same returns, with ``inf`` for the lost ones.
+        """
         cosine, albedo = view.surfaces(returns)
         reach = self.range_m * np.sqrt(albedo * cosine / TEN_PERCENT)
+        # in place: scans may have a million rays
         varied = normal(returns.ranges.shape, rng=rng)
         varied *= self.softness
         varied += 1.0
@@ -124,10 +153,15 @@ class Spurious(Fault):
     """The probability, of every ray."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
-        """See `Stage.apply`."""
+        """Add spurious returns; see `Stage.apply`.
+
+        Returns:
+            The same returns, with the first echo moved nearer by chance.
+        """
         first = returns.ranges[0]
-        chosen, where = rng.random(first.shape) < self.share, 1.0 - rng.random(first.shape)
-        spurious = np.where(chosen, where * np.minimum(first, view.sensor.max_range_m), first)
+        # 1 - u lies above 0: a range of 0 would be no return
+        chosen, place = rng.random(first.shape) < self.share, 1.0 - rng.random(first.shape)
+        spurious = np.where(chosen, place * np.minimum(first, view.sensor.max_range_m), first)
         return returns.but(ranges=np.concatenate([spurious[None], returns.ranges[1:]]))
 
     def bound_m(self, max_range_m: float) -> float:
@@ -160,29 +194,44 @@ class Motion(Fault):
     """Poses that the scan is divided into: rays between two are cast from one in their middle."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
-        """See `Stage.apply`."""
+        """Cast the scan anew from a moving sensor; see `Stage.apply`.
+
+        Returns:
+            Returns of one echo a ray, and where rays began and went.
+        """
         times = view.sensor.times_s
         length = float(times.max()) / self.poses
         number_of = np.minimum(times // (length or 1.0), self.poses - 1).astype(np.int64)
         body = view.sensor.directions_body
+        # rays of a pose that has not moved keep the bits of the clean scan
         origins, directions = returns.origins.copy(), returns.directions.copy()
-        for now in grouped(number_of):
-            shift, turn = self.moved((number_of[now][0] + 0.5) * length)
+        for group in grouped(number_of):
+            shift, turn = self.moved((number_of[group][0] + 0.5) * length)
             if shift.any() or turn:
                 sine, cosine = sin_cos(turn / 2)
-                turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[now])
-                origins[now] = view.pose.position + rotate(view.pose.quaternion, shift[None])[0]
-                directions[now] = rotate(view.pose.quaternion, turned)
+                turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[group])
+                origins[group] = view.pose.position + rotate(view.pose.quaternion, shift[None])[0]
+                directions[group] = rotate(view.pose.quaternion, turned)
         ranges = view.cast(origins, directions)[None]
-        told = {"told_origins": origins, "told_directions": directions} if self.corrected else {}
-        return returns.but(ranges=ranges, origins=origins, directions=directions, **told)
+        reported = (
+            {"told_origins": origins, "told_directions": directions} if self.corrected else {}
+        )
+        return returns.but(ranges=ranges, origins=origins, directions=directions, **reported)
 
     def moved(self, time_s: float) -> tuple[Floats, float]:
-        """How far the sensor is from where it began, (3,) metres in its first frame, and by how
-        much it turned, radians: an arc, or a straight line where it does not turn."""
+        """Compute the sensor's motion since the scan began: an arc, or a straight line without a
+        turn.
+
+        Args:
+            time_s: Seconds since then.
+
+        Returns:
+            Where it is, (3,), metres in its first frame; and its turn, radians.
+        """
         rate = math.radians(self.yaw_rate_deg_s)
         turn = rate * time_s
         sine, cosine = (float(part) for part in sin_cos(turn))
+        # integrals of cosine and sine of the turn over time
         ahead, aside = (sine / rate, (1.0 - cosine) / rate) if rate else (time_s, 0.0)
         x, y = self.forward_mps, self.left_mps
         return np.array([ahead * x - aside * y, aside * x + ahead * y, self.up_mps * time_s]), turn

@@ -1,9 +1,8 @@
-"""Sensors: where the rays point, when each is cast, how far they reach. One file a family; each
-fills `Sensor`.
+"""Sensors: where rays point, when each is cast, how far they reach. One file a family; each fills
+`Sensor`.
 
-Nothing else in the toolkit knows what a sensor is made of, so a new family is one new file, here or
-in a user's folder.
-"""
+Nothing else in the toolkit knows how a sensor works, so a new family is one new file, here or in a
+user's folder."""
 
 from __future__ import annotations
 
@@ -19,11 +18,9 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
 
 
 class Sensor(Protocol):
-    """Rays that start together, from one point of a body. Attributes are read-only, and the same at
-    every reading.
+    """Rays that start together, from one point of a body. Attributes are read-only and constant.
 
-    A sensor is a value: equal ones are equal by ``==``, and ``str`` says in a phrase what it is.
-    """
+    A sensor is a value: equal ones are equal by ``==``, and ``str`` describes it in a phrase."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -52,13 +49,13 @@ FAMILIES = {
     "raster": "lidarsim.sensors.raster:Lidar",
     "table": "lidarsim.sensors.table:BeamTable",
     "spinning": "lidarsim.sensors.spinning:Spinning",
-    "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
-    "coil": "lidarsim.sensors.nonrepetitive:Coil",
+    "rosette": "lidarsim.sensors.spinning:Rosette",
+    "coil": "lidarsim.sensors.spinning:Coil",
     "pinhole": "lidarsim.sensors.raster:Pinhole",
 }
 """Families: dataclasses whose fields are the parameters."""
 TEXT = Path(__file__).with_name("catalogue.toml").read_text(encoding="utf-8")
-"""The catalogue, whose names can be told without all of it being parsed."""
+"""The catalogue's text; its names are found without parsing it all."""
 CATALOGUE = {
     name: name.partition("-")[2].replace("-", "_").upper()
     for name in re.findall(r"^\[(.+)\]$", TEXT, re.MULTILINE)
@@ -81,10 +78,17 @@ RASTER = "raster"
 """The sensor of a recipe that names none."""
 
 
-def check_sensor(given: object) -> None:
-    """Raise ValueError unless `given` is a sensor: a name or a class is none."""
-    if isinstance(given, type) or not hasattr(given, "max_range_m"):
+def check_sensor(sensor: object) -> None:
+    """Check that an object is a sensor, and not a name or a class.
+
+    Args:
+        sensor: The object.
+
+    Raises:
+        ValueError: If it is not a sensor.
+    """
+    if isinstance(sensor, type) or not hasattr(sensor, "max_range_m"):
         raise ValueError(
-            f"sensor = {shown(given)}: expected an object, such as lidarsim.Lidar() or "
+            f"sensor = {shown(sensor)}: expected an object, such as lidarsim.Lidar() or "
             f"lidarsim.sensors.catalogue.VLP_16"
         )

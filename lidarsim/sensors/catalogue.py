@@ -1,12 +1,12 @@
-"""Sensors that people have, as `catalogue.toml` describes them: an object each, under the name that
-`CATALOGUE` gives it, as in ``from lidarsim.sensors.catalogue import VLP_16``."""
+"""Sensors that people have, from `catalogue.toml`: an object each, under its name in `CATALOGUE`,
+as in ``from lidarsim.sensors.catalogue import VLP_16``."""
 
 import tomllib
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.sensors import CATALOGUE, SENSORS, TEXT
 
-if TYPE_CHECKING:  # else users' checkers know of no such name
+if TYPE_CHECKING:  # users' type checkers cannot see names that are set at run time
 
     def __getattr__(name: str) -> Any: ...
 

@@ -1,5 +1,4 @@
-"""What sensors that are sold have in common: a name, a source of their figures, a mount, and limits
-of range."""
+"""Common base of sensors that are sold: name, sources of figures, mount, and range limits."""
 
 import dataclasses
 import math
@@ -22,14 +21,14 @@ from lidarsim.parameters import (
 from lidarsim.pose import rotate
 from lidarsim.sensors import CATALOGUE, SENSORS
 
-ABOUT = ("name", "source", "checked", "error", "noise")
-"""Fields that say something of a sensor and change none of its rays."""
+DESCRIPTIVE = ("name", "source", "checked", "error", "noise")
+"""Fields that describe a sensor and change none of its rays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and,
-    where rays are not all cast at once, `times_s`."""
+    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and, if
+    rays are not all cast at once, `times_s`."""
 
     name: str = ""
     """What it is called; the catalogue's names are taken."""
@@ -54,7 +53,7 @@ class Device:
 
     def __post_init__(self) -> None:
         check(self)
-        for item in ABOUT:
+        for item in DESCRIPTIVE:
             check_text(item, getattr(self, item))
         if self.min_range_m >= self.max_range_m:
             raise ValueError(
@@ -68,18 +67,26 @@ class Device:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How the rays are ordered."""
+        """How the rays are ordered.
+
+        Raises:
+            NotImplementedError: Unless a subclass defines it.
+        """
         raise NotImplementedError
 
     @property
     def directions_sensor(self) -> Floats:
-        """Unit vectors (*shape, 3) in the sensor frame: x forward, y left, z up."""
+        """Unit vectors (*shape, 3) in the sensor frame: x forward, y left, z up.
+
+        Raises:
+            NotImplementedError: Unless a subclass defines it.
+        """
         raise NotImplementedError
 
     @property
     def times_s(self) -> Floats:
-        """When each ray is cast, (*shape), seconds after the scan begins; zeros unless a subclass
-        knows better."""
+        """When each ray is cast, (*shape), seconds after the scan begins; zeros unless
+        overridden."""
         return np.zeros(self.shape)
 
     @cached_property
@@ -89,16 +96,20 @@ class Device:
 
     @property
     def made_by(self) -> str:
-        """The name, and the fields that are not as they come: ``velodyne-vlp-16(rate_hz=20.0)``."""
+        """The name, and the fields that differ from its defaults:
+        ``velodyne-vlp-16(rate_hz=20.0)``."""
+        # a sensor of the catalogue has its own defaults
         usual = SENSORS.find(self.name) if self.name in CATALOGUE else None
-        given = [
+        changed = [
             f"{item.name}={getattr(self, item.name)!r}"
             for item in dataclasses.fields(self)
-            if item.name not in ABOUT
+            if item.name not in DESCRIPTIVE
             and getattr(self, item.name) != (getattr(usual, item.name) if usual else item.default)
         ]
-        made = f"{self.name or type(self).__name__.lower()}({', '.join(given)})".removesuffix("()")
-        return made if len(made) <= MOST_TEXT else f"{made[: MOST_TEXT - 3]}..."
+        phrase = f"{self.name or type(self).__name__.lower()}({', '.join(changed)})".removesuffix(
+            "()"
+        )
+        return phrase if len(phrase) <= MOST_TEXT else f"{phrase[: MOST_TEXT - 3]}..."
 
     def __str__(self) -> str:
         tilt = f", {self.pitch_deg:g}° nose down" if self.pitch_deg else ""
@@ -108,7 +119,15 @@ class Device:
 
 
 def nose_down(directions: Floats, pitch_deg: float) -> Floats:
-    """Unit vectors (..., 3) turned nose down, as an array that nobody writes to."""
+    """Turn unit vectors nose down.
+
+    Args:
+        directions: (..., 3), in the sensor frame.
+        pitch_deg: Rotation about y, degrees.
+
+    Returns:
+        (..., 3), in the body frame, read-only.
+    """
     sin_half, cos_half = sin_cos(np.radians(pitch_deg) / 2)
     turned = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
     turned.setflags(write=False)
@@ -116,19 +135,26 @@ def nose_down(directions: Floats, pitch_deg: float) -> Floats:
 
 
 def pointing(elevation_deg: Floats, azimuth_deg: Floats) -> Floats:
-    """Unit vectors (..., 3) of angles (...) that broadcast: up from the horizon, and from x towards
-    y."""
+    """Compute unit vectors of angles that broadcast.
+
+    Args:
+        elevation_deg: Up from the horizon, degrees.
+        azimuth_deg: From x towards y, degrees.
+
+    Returns:
+        (..., 3).
+    """
     sin_e, cos_e = sin_cos(np.radians(elevation_deg))
     sin_a, cos_a = sin_cos(np.radians(azimuth_deg))
     return np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
 
 
 def angles_deg(directions: Floats) -> Floats:
-    """Elevation and azimuth (2, ...) of vectors (..., 3), degrees, the inverse of `pointing`.
+    """Compute elevation and azimuth (2, ...) of vectors (..., 3), degrees, the inverse of
+    `pointing`.
 
     They are rounded to a billionth: NumPy's arctangent has other last bits on other processors, and
-    what is printed or drawn of an angle such as 11.25° must not hang on them.
-    """
+    printed or drawn angles such as 11.25° must not depend on them."""
     x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
     angles = np.degrees([np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)])
-    return np.asarray(angles.round(9) + 0.0)  # and no -0
+    return np.asarray(angles.round(9) + 0.0)  # + 0.0 makes 0 of -0

@@ -69,6 +69,7 @@ class Lidar:
             self.horizontal_fov_deg, self.columns, closed=self.horizontal_fov_deg < 360.0
         )
         if self.mount == "band":
+            # the pitch belongs to the elevations here, so the sensor itself is not turned
             elevation = elevation - self.pitch_deg
         directions = pointing(elevation[:, None], azimuth)
         return nose_down(directions, self.pitch_deg if self.mount == "tilt" else 0.0)
@@ -88,10 +89,10 @@ class Lidar:
 
 
 def _spread(fov_deg: float, count: int, *, closed: bool) -> Floats:
-    """`count` angles over a field of view around zero, degrees; a single one looks straight
-    ahead."""
+    """Space `count` angles evenly over a field of view around 0, degrees; a single one is 0."""
     if count == 1:
         return np.zeros(1)
+    # a closed field has a ray at either end, a full turn one for both
     step = fov_deg / (count - 1 if closed else count)
     return -fov_deg / 2 + step * np.arange(count, dtype=np.float64)
 
@@ -130,15 +131,18 @@ class Pinhole(Device):
     @property
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
+        # half the width and height of the picture at distance 1
         wide = _tangent(self.horizontal_fov_deg / 2)
         high = (
             _tangent(self.vertical_fov_deg / 2)
             if self.vertical_fov_deg
             else wide * self.height / self.width
         )
+        # centres of pixels, from the left and from the top
         left = wide * (1 - (2 * np.arange(self.width) + 1) / self.width)
         up = high * (1 - (2 * np.arange(self.height) + 1) / self.height)
         rays = np.stack(np.broadcast_arrays(1.0, left, up[:, None]), axis=-1)
+        # term by term, since sums of NumPy depend on the processor
         length2 = (rays[..., 0] ** 2 + rays[..., 1] ** 2) + rays[..., 2] ** 2
         return rays / np.sqrt(length2)[..., None]
 

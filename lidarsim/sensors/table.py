@@ -1,4 +1,4 @@
-"""A sensor as a table of its rays, and what sensors that are sold have in common."""
+"""A sensor as a table of its rays."""
 
 import dataclasses
 import hashlib
@@ -31,17 +31,16 @@ MOST_AXES = 4
 MOST_HEADER_BYTES = 4096
 """The most bytes of an .npy file's header: more than any of ours takes."""
 UNIT = 1e-9
-"""How far from 1 the length of a direction may be."""
+"""Tolerance of a direction's length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BeamTable:
-    """Rays listed one by one: a `Sensor`, which a recipe names by ``[lidar] sensor = "table"``. Two
-    are equal where all of their numbers are.
+    """Rays listed one by one: a `Sensor`, named in a recipe by ``[lidar] sensor = "table"``. Tables
+    with equal numbers are equal.
 
-    Raises ValueError for rays that have no direction, or times and a range that no scan has, and
-    for a file that is not there, or not the one meant.
-    """
+    Raises ValueError if a ray has no direction, a time or the range is invalid, or the file is
+    missing or has another checksum."""
 
     rays: Floats = field(metadata={FILE: True})
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
@@ -49,15 +48,15 @@ class BeamTable:
     max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres."""
     made_by: str = ""
-    """What the table was made by, for people to read."""
+    """The sensor or program that made the table, for people."""
     sha256: str = ""
-    """The SHA-256 of `npy`, in hexadecimal; given, what the file of the rays must have."""
+    """The SHA-256 of `npy`, in hexadecimal; a given one must be that of the rays' file."""
 
     def __post_init__(self) -> None:
-        given: Any = self.rays
-        if isinstance(given, str | Path):
-            given = _read_file(Path(given), self.sha256)
-        rays = np.array(given, float)
+        source: Any = self.rays
+        if isinstance(source, str | Path):
+            source = _read_file(Path(source), self.sha256)
+        rays = np.array(source, float)
         shape = rays.shape[:-1]
         if (
             rays.shape[-1:] != (4,)
@@ -68,11 +67,12 @@ class BeamTable:
                 f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays"
             )
         lengths = np.sqrt((rays[..., :3] ** 2).sum(axis=-1))
-        if len(odd := lengths[~(np.abs(lengths - 1.0) <= UNIT)]):
+        if len(bad := lengths[~(np.abs(lengths - 1.0) <= UNIT)]):
             raise ValueError(
-                f"a ray's direction has length {odd[0]:.9g}, expected 1 to {UNIT:g}; divide it by "
+                f"a ray's direction has length {bad[0]:.9g}, expected 1 to {UNIT:g}; divide it by "
                 "its length in float64"
             )
+        # False for NaN, too
         if not ((rays[..., 3] >= 0) & np.isfinite(rays[..., 3])).all():
             raise ValueError(
                 "a ray's time is negative or no number; expected seconds after the scan begins"
@@ -85,8 +85,8 @@ class BeamTable:
 
     @classmethod
     def of(cls, sensor: Sensor) -> "BeamTable":
-        """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is
-        none."""
+        """Tabulate any sensor's rays, with the same bits. Raises ValueError if it is not a
+        sensor."""
         check_sensor(sensor)
         shape = tuple(int(count) for count in sensor.shape)
         directions = _numbers(sensor.directions_body, "directions_body", (*shape, 3))
@@ -133,18 +133,19 @@ class BeamTable:
         return hash((self.shape, self.max_range_m))
 
     def __str__(self) -> str:
-        made = f" of {self.made_by}" if self.made_by else ""
-        return f"{' × '.join(map(str, self.shape))} rays{made}, up to {self.max_range_m:g} m"
+        maker = f" of {self.made_by}" if self.made_by else ""
+        return f"{' × '.join(map(str, self.shape))} rays{maker}, up to {self.max_range_m:g} m"
 
     def __getstate__(self) -> dict[str, Any]:
         return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
 
 
 def _read_file(path: Path, sha256: str) -> NDArray[Any]:
-    """The array in an .npy file, whose SHA-256 is that, where one is given."""
-    if not path.is_file():  # and no pipe, whose reading might never end
+    """Read an .npy file, and check its SHA-256 unless that is ""."""
+    if not path.is_file():  # a pipe is no file: reading it might never end
         raise ValueError(f"rays = {path.name!a}: there is no such file in {str(path.parent)!a}")
     with open(path, "rb") as file:
+        # one byte more than the limit shows that a file is too long, without reading it all
         content = file.read(most_bytes(MOST_RAYS) + 1)
     if sha256 and hashlib.sha256(content).hexdigest() != sha256:
         raise ValueError(f"rays = {path.name!a}: is not the file whose sha256 is {shown(sha256)}")
@@ -152,12 +153,22 @@ def _read_file(path: Path, sha256: str) -> NDArray[Any]:
 
 
 def most_bytes(rays: int) -> int:
-    """What an .npy file of so many rays may take."""
+    """Return the greatest size of an .npy file of so many rays."""
     return 32 * rays + MOST_HEADER_BYTES
 
 
 def read_npy(content: bytes) -> NDArray[Any]:
-    """The array in an .npy file. Raises ValueError where it holds none, or one of objects."""
+    """Read an .npy file of numbers.
+
+    Args:
+        content: The file's bytes.
+
+    Returns:
+        The array.
+
+    Raises:
+        ValueError: If they are not an .npy file, or one of Python objects.
+    """
     try:
         return np.asarray(
             np.lib.format.read_array(
@@ -169,24 +180,24 @@ def read_npy(content: bytes) -> NDArray[Any]:
 
 
 def _maker(sensor: Sensor) -> str:
-    """A sensor's class and parameters: ``my_sensor:Rosette(petals=7)``; files by their names
-    alone."""
+    """Describe a sensor's class and parameters: ``my_sensor:Rosette(petals=7)``; of files only the
+    names."""
     values: dict[str, Any] = {}
     if dataclasses.is_dataclass(sensor):
         values = {item.name: getattr(sensor, item.name) for item in dataclasses.fields(sensor)}
-    given = ", ".join(
+    arguments = ", ".join(
         f"{name}={value.name if isinstance(value, Path) else repr(value)}"
         for name, value in values.items()
     )
-    said = f"{type(sensor).__module__}:{type(sensor).__name__}({given})"
-    return "".join(one if one.isprintable() else "?" for one in said)[:MOST_TEXT]
+    description = f"{type(sensor).__module__}:{type(sensor).__name__}({arguments})"
+    return "".join(letter if letter.isprintable() else "?" for letter in description)[:MOST_TEXT]
 
 
-def _numbers(values: ArrayLike, what: str, shape: tuple[int, ...]) -> Floats:
+def _numbers(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
     try:
         numbers = np.asarray(values, float)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} is no array of numbers") from None
+        raise ValueError(f"{name} is no array of numbers") from None
     if numbers.shape != shape:
-        raise ValueError(f"{what} has shape {numbers.shape}, expected {shape}, as `shape` says")
+        raise ValueError(f"{name} has shape {numbers.shape}, expected {shape}, as `shape` says")
     return numbers

@@ -6,10 +6,10 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -21,13 +21,13 @@ from torch import Tensor
 from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
+from scenegen.base.errors import DatasetError, needs, printable, raised_as, whole_number
+from scenegen.base.files import Json, real_path
+from scenegen.base.limits import MOST_BATCH
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.parts import described, sensor_entry
+from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
 from scenegen.dataset.read import Split
-from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
-from scenegen.files import Json, real_path
-from scenegen.limits import MOST_BATCH
+from scenegen.draw.sample import Sample
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
@@ -35,11 +35,11 @@ from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, 
 from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
-from scenegen.sample import Sample
+from scenegen.model.targets import BUILT_IN, Target, targets_of
 from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
-MOST_SAID = 300
+MAX_DIFFERENCE = 300
 """Characters that are said of how two sensors differ."""
 TRAINING = "in training", "here"
 """What the two sides of a difference are called: what a network learned from, and its input."""
@@ -69,6 +69,8 @@ class Completer:
     """Threads of the processor on which it computes; 0 for all."""
     opened: tuple[str, str, int]
     """Name, device and batch, by which `opened_once` has it in other processes."""
+    targets: Mapping[str, Target]
+    """What it predicts, by `target_name`."""
     learned = True
 
     def __post_init__(self) -> None:
@@ -98,11 +100,12 @@ class Completer:
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
-            run, found = load_onnx(path, threads=threads, own=own)
-            grid, about, inputs = found.grid, found.about, found.config.inputs
+            run, file = load_onnx(path, threads=threads, own=own)
+            grid, about, inputs = file.grid, file.about, file.config.inputs
+            targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)
-            inputs = network.config.inputs
+            inputs, targets = network.config.inputs, network.targets
             unfit = RuntimeError, AssertionError
             with raised_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
                 placed(network, device)
@@ -110,18 +113,19 @@ class Completer:
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
-        said = printable(called(name, path))
+        title = printable(called(name, path))
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         return cls(
             forward=run,
             grid=grid,
-            name=said,
+            name=title,
             inputs=inputs,
             about=about,
             batch=batch,
             threads=threads,
             opened=(str(name), str(device), batch),
+            targets=targets,
         )
 
     def __repr__(self) -> str:
@@ -145,15 +149,15 @@ class Completer:
         input cannot hold, and where no point is in the map; PredictionError where the network says
         NaN, or what is no probability or distance.
         """
-        given: Any = maps
+        inputs: Any = maps
         names = "observed", *self.inputs
         with on_threads(self.threads):
-            if getattr(given, "ndim", 0) == 2:
-                given = self.scan_of(given, sensor)
-            if isinstance(given, Sample | PointScan):
-                lidar = getattr(given, "lidar", None)  # of points nobody knows it
-                given = channels(names, given, self.grid, lidar)
-            batch = given if isinstance(given, Mapping) else {"observed": given}
+            if getattr(inputs, "ndim", 0) == 2:
+                inputs = self.scan_of(inputs, sensor)
+            if isinstance(inputs, Sample | PointScan):
+                lidar = getattr(inputs, "lidar", None)  # of points nobody knows it
+                inputs = channels(names, inputs, self.grid, lidar)
+            batch = inputs if isinstance(inputs, Mapping) else {"observed": inputs}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
                     f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
@@ -174,21 +178,18 @@ class Completer:
             ]
             first = batch[self.inputs[0]]
 
-            def joined(part: Sequence[Any]) -> Any:
-                """One field of all maps, as these were given."""
-                if part[0] is None:
-                    return None
-                whole = torch.cat(part).reshape(shape)
-                return (
+            arrays = dict[str, Any]()
+            for name in parts[0]:  # of all maps, as these were given
+                whole = torch.cat([part[name] for part in parts])
+                whole = whole.reshape(*shape[:-3], *whole.shape[1:])
+                arrays[name] = (
                     whole.to(first.device) if isinstance(first, Tensor) else whole.numpy(force=True)
                 )
-
-            probability, tudf = map(joined, zip(*parts, strict=True))
             seen = tensors.get("observed")
-            prediction = Prediction(probability, tudf, self.calibration, seen)
+            prediction = Prediction.of(arrays, calibration=self.calibration, observed=seen)
             return check_prediction(prediction, shape, self.name)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """SHA-256 of the network's file."""
         return file_sha256(locate(self.opened[0]))
@@ -197,7 +198,7 @@ class Completer:
         return opened_once, self.opened
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `scenegen.model.evaluation.methods.Method`. Raises DatasetError for another grid.
+        """See `scenegen.model.bench.methods.Method`. Raises DatasetError for another grid.
 
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
@@ -223,7 +224,9 @@ class Completer:
     def unlike(self, settings: Iterable[Sensing]) -> list[str]:
         """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
         not learn from; see the function `unlike`."""
-        return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
+        return sorted(
+            filter(None, {unlike(self.name, self.about, *sensing) for sensing in settings})
+        )
 
     def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
         """The scan of points (N, 3), metres, seen from `sensor` (3,), less those that are no
@@ -231,52 +234,49 @@ class Completer:
         rows = np.asarray(points, float)
         if rows.shape[1:] != (3,):
             raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
-        here = finite("sensor", sensor, 3)
-        returned = rows[are_returns(rows, here)]
-        found = PointScan(points=returned, position=here, grid=self.grid)
-        if not len(found.voxels):
+        position = finite("sensor", sensor, 3)
+        returned = rows[are_returns(rows, position)]
+        scan = PointScan(points=returned, position=position, grid=self.grid)
+        if not len(scan.voxels):
             raise ValueError(
                 f"none of {len(rows)} points is in the map ({len(rows) - len(returned)} are no "
-                f"returns), {self.grid.extent_m.tolist()} m around the sensor at {here.tolist()}; "
-                "give metres, and where the sensor is"
+                f"returns), {self.grid.extent_m.tolist()} m around the sensor at "
+                f"{position.tolist()}; give metres, and where the sensor is"
             )
-        return found
+        return scan
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
         try:
-            given = (
+            tensor = (
                 # a copy, for torch takes no arrays that cannot be written to
                 maps if isinstance(maps, Tensor) else torch.from_numpy(np.array(maps, order="C"))
             )
         except TypeError:
-            said = (
+            message = (
                 f"{name} is of type {type(maps).__name__}; expected a sample, or a map as an array"
             )
-            raise ValueError(said) from None
-        if given.shape[-3:] != self.grid.shape or given.ndim not in (3, 4):
+            raise ValueError(message) from None
+        if tensor.shape[-3:] != self.grid.shape or tensor.ndim not in (3, 4):
             raise ValueError(
-                f"{name} has shape {tuple(given.shape)}, expected {self.grid.shape} or (B, "
+                f"{name} has shape {tuple(tensor.shape)}, expected {self.grid.shape} or (B, "
                 f"*{self.grid.shape}): "
                 f"{self.name} completes maps of voxels of {self.grid.voxel_m} m, indexed x, y, z"
             )
-        if not given.numel():
+        if not tensor.numel():
             raise ValueError(f"{name} holds no map; give at least one")
         if name in BINARY:
-            if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
+            if tensor.dtype != torch.bool and not ((tensor == 0) | (tensor == 1)).all():
                 raise ValueError(
                     f"{name} holds values other than 0 and 1; expected a mask of voxels"
                 )
-        elif not given.isfinite().all():
+        elif not tensor.isfinite().all():
             raise ValueError(f"{name} holds NaN or infinity; expected finite numbers")
-        return given
+        return tensor
 
     @torch.inference_mode()
-    def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
-        output = self.forward(maps)
-        probability = None if output.logits is None else output.logits.sigmoid()
-        tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
-        return probability, tudf
+    def _complete(self, maps: Batch) -> dict[str, Tensor]:
+        return self.forward(maps).predictions(self.targets, self.grid)
 
 
 @contextmanager
@@ -305,7 +305,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    here, usual = sensor_entry(lidar), described(Mapper())
+    here, usual = sensor_entry(lidar), mapping_entry(Mapper())
 
     def told(way: Json) -> tuple[int, str]:
         """How far they are from one way of those that the network learned from, and why."""
@@ -317,7 +317,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             learned = " or ".join(stages or "none" for stages in noises)
             faults = [f"noise is {learned} in training, {noise or 'none'} here"]
         maps = differences(
-            {"mapping": way.get("mapping") or usual}, {"mapping": described(mapping)}, TRAINING
+            {"mapping": way.get("mapping") or usual}, {"mapping": mapping_entry(mapping)}, TRAINING
         )
         # a sensor that differs says more than noise, and that more than maps
         if sensor:
@@ -328,7 +328,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             distance, what = 1, "maps made otherwise"
         else:
             return 0, ""
-        line = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        line = "; ".join(sensor + faults + maps)[:MAX_DIFFERENCE]
         line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
         return distance, line
 
@@ -368,8 +368,8 @@ def locate(name: str | Path) -> Path:
         return BUNDLED / f"{name}.safetensors"
     path = Path(name)
     if path.is_dir():
-        if there := [path / inside for inside in NAMES_IN_FOLDER if (path / inside).is_file()]:
-            return there[0]
+        if files := [path / inside for inside in NAMES_IN_FOLDER if (path / inside).is_file()]:
+            return files[0]
         raise CheckpointError(
             f"{path}: a folder without {' or '.join(NAMES_IN_FOLDER)}; give a run's folder or a "
             f"file"

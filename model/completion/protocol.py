@@ -1,20 +1,24 @@
-"""What a completion is, and the one protocol of everything that completes a map.
+"""What a completion is, the one protocol of everything that completes a map, and the methods
+without learning, which a network has to beat.
 
 A completer sees what one scan tells of a map and says what is there. What it leaves out is derived
 as the paper does for its single-task networks: distances by the transform of the predicted
 occupancy, occupancy by a threshold on the distance.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from scipy import ndimage
 
 from lidarsim.grid import Field, GridSpec, Mask
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
+from scenegen.draw.html import html_table
 from scenegen.model.calibration import Calibration, StoredProbability, away_of, denial
 from scenegen.model.config import Thresholds
-from scenegen.sample import html_table
+from scenegen.model.targets import BUILT_IN, Target
 from scenegen.truth import distance_field
 
 
@@ -32,22 +36,39 @@ class Prediction:
     observed: Any = None
     """(*shape), numpy or torch: where a return lies, by which `calibration` tells unfamiliar maps
     from others; None if unknown."""
+    others: Mapping[str, Any] = field(default_factory=dict)
+    """What else is predicted, by `target_name`: (*shape), or (channels, X, Y, Z) for each map."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
 
     def __repr__(self) -> str:
-        given = [name for name in PARTS if getattr(self, name) is not None]
-        return f"<Prediction: {', '.join(given)} {tuple(getattr(self, given[0]).shape)}>"
+        parts = [name for name in PARTS if getattr(self, name) is not None]
+        names = ", ".join((*parts, *self.others))
+        return f"<Prediction: {names} {tuple(getattr(self, parts[0]).shape)}>"
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Any], **more: Any) -> "Prediction":
+        """From its arrays by name: `PARTS`, and others."""
+        parts = {name: arrays[name] for name in PARTS if name in arrays}
+        others = {name: values for name, values in arrays.items() if name not in PARTS}
+        return cls(**parts, **more, others=others)
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file keeps of it, by name: those of `STORED` that it has as float32, and
+        others."""
+        stored = {name: plain(getattr(self, name)) for name in STORED}
+        kept = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
+        return kept | {name: plain(values) for name, values in self.others.items()}
 
     def _repr_html_(self) -> str:
         """For notebooks: what each part is, its least, mean and greatest number."""
         rows: list[tuple[str, ...]] = [("", "", "least", "mean", "greatest")]
-        for name, (what, _) in PARTS.items():
+        for name, target in PARTS.items():
             if (values := plain(getattr(self, name))) is not None:
                 figures = (values.min(), values.mean(), values.max())
-                rows.append((name, what, *(f"{figure:.3g}" for figure in figures)))
+                rows.append((name, target.meaning, *(f"{figure:.3g}" for figure in figures)))
         return html_table(rows, self)
 
     def occupied(self, thresholds: Thresholds | None = None) -> Mask:
@@ -92,10 +113,8 @@ class Prediction:
 
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""
-        given = self.occupancy_probability if self.tudf is None else self.tudf
-        return (
-            values if values is None or isinstance(given, np.ndarray) else given.new_tensor(values)
-        )
+        like = self.occupancy_probability if self.tudf is None else self.tudf
+        return values if values is None or isinstance(like, np.ndarray) else like.new_tensor(values)
 
 
 def plain(values: Any) -> Any:
@@ -107,11 +126,8 @@ class PredictionError(ScenegenError):
     """A method says of a map what no completion can be."""
 
 
-PARTS = {
-    "occupancy_probability": ("a probability from 0 to 1", 1.0),
-    "tudf": ("a distance of at least 0", np.inf),
-}
-"""Parts of a prediction: what each voxel's number is, and the most it may be."""
+PARTS = {target.part: target for target in BUILT_IN.values()}
+"""Parts of a prediction that every method may give, with their targets."""
 STORED = *PARTS, "probability"
 """Arrays that a file of predictions may hold."""
 
@@ -121,22 +137,25 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
     what they should.
 
     Every number is finite, probabilities lie in [0, 1], and no distance is negative; distances
-    beyond the truncation are allowed. Raises PredictionError, naming `who` predicts, for anything
-    else.
+    beyond the truncation are allowed. Others may have channels before x. Raises PredictionError,
+    naming `who` predicts, for anything else.
     """
     if not isinstance(found, Prediction):
         raise PredictionError(
             f"{who}: gives {type(found).__name__}, expected a "
             f"scenegen.model.completion.protocol.Prediction"
         )
-    parts = {name: (getattr(found, name), *bounds) for name, bounds in PARTS.items()}
+    parts = {name: getattr(found, name) for name in PARTS} | dict(found.others)
     if isinstance(found.calibration, StoredProbability):  # one computed here needs no check
-        bounds = PARTS["occupancy_probability"]
-        parts["probability"] = (found.calibration.probability, *bounds)
-    for name, (values, what, most) in parts.items():
+        parts["probability"] = found.calibration.probability
+    for name, values in parts.items():
         if values is None:
             continue
-        if tuple(getattr(values, "shape", ())) != tuple(shape):
+        target = BUILT_IN["occupancy"] if name == "probability" else PARTS.get(name, Target)
+        given = tuple(getattr(values, "shape", ()))
+        if name in found.others and len(given) == len(shape) + 1:  # which has channels
+            given = (*given[:-4], *given[-3:])
+        if given != tuple(shape):
             held = (
                 f"an array of shape {tuple(values.shape)}"
                 if hasattr(values, "shape")
@@ -148,10 +167,12 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
         if isinstance(values, np.ndarray) and values.dtype.kind not in "fiub":
             raise PredictionError(f"{who}: {name} holds {values.dtype}, expected float32")
         low, high = float(values.min()), float(values.max())  # NaN, if any voxel holds it
-        if not (low >= 0 and high <= most and high < np.inf):
-            wrong = low if low < 0 else high
+        if not (target.least <= low and high <= target.most and np.isfinite([low, high]).all()):
+            wrong = low if low < target.least else high
             held = f"{wrong:g}" if np.isfinite(wrong) else "NaN or infinity"
-            raise PredictionError(f"{who}: {name} holds {held}, expected {what} in every voxel")
+            raise PredictionError(
+                f"{who}: {name} holds {held}, expected {target.meaning} in every voxel"
+            )
     return found
 
 
@@ -164,3 +185,57 @@ class MapCompleter(Protocol):
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...
+
+
+UPRIGHT = np.zeros((3, 3, 3), bool)
+UPRIGHT[1, 1] = True
+"""A voxel's neighbours in its column."""
+
+
+class Returns:
+    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as
+    it is."""
+
+    name = "returns"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=observed.astype(np.float32))
+
+
+class Empty:
+    """Free everywhere, every distance at the truncation: how much success needs no map."""
+
+    name = "empty"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=np.zeros(observed.shape, np.float32))
+
+
+class Conservative:
+    """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
+
+    name = "conservative"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=(~free).astype(np.float32))
+
+
+class Extrude:
+    """Returns, extended up and down their columns through unknown voxels until a free one: what a
+    network for pillars has to beat."""
+
+    name = "extrude"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        runs, count = ndimage.label(~free, UPRIGHT)
+        met = np.zeros(count + 1, np.float32)
+        met[runs[observed & ~free]] = 1.0
+        return Prediction(occupancy_probability=met[runs])

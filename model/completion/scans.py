@@ -1,10 +1,9 @@
-"""Completions of real scans: of a file, of every file in a folder, or of a log with poses; and a
-page to look at them with."""
+"""Completions of real scans: of a file, of every file in a folder, or of a log with poses."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -18,33 +17,38 @@ from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
-from scenegen.cli.show import Progress, note, say
-from scenegen.cloud_arrays import read_npz
-from scenegen.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
-from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.shard import compress
-from scenegen.display.exchange.files import encode_points
-from scenegen.display.look import Guess, Look, evenly
-from scenegen.display.page import page
-from scenegen.errors import DatasetError, DiskError, printable, raised_as
-from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
-from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.base.errors import DatasetError, plural, raised_as
+from scenegen.base.files import check_ours, make_way, write_whole
+from scenegen.base.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.base.paths import is_log
+from scenegen.base.reading import read_bounded
 from scenegen.logs import LogScan
 from scenegen.logs.log import Log
-from scenegen.logs.read import is_log, read_log
+from scenegen.logs.read import read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.predictions import PACKED, new_hdf5
-from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
+from scenegen.model.completion.protocol import PARTS, Prediction, check_prediction
+from scenegen.model.completion.stored import (
+    DIGEST,
+    about_others,
+    check_digest,
+    digest_of,
+    new_hdf5,
+    read_guarded,
+    write_map,
+)
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
+from scenegen.view.look import Guess, Look
+from scenegen.worlds.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
+from scenegen.worlds.clouds.write import encode_points, read_npz
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
 BELOW_M = 5.0
 """What is below the sensor is looked for among the lower returns that are within so many metres of
 it, seen from above."""
-LEAST_BELOW, LOWEST = 20, 0.1
+MIN_BELOW, LOWEST = 20, 0.1
 """How many of these it takes to tell the sensor's height, and which quantile of them is taken: the
 ground, where the sensor looks down far enough."""
 
@@ -69,10 +73,9 @@ Task: TypeAlias = tuple[str, Callable[[], Scan]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Completed:
-    """What became of a scan. Its text says so to people."""
+class ScanReport:
+    """What became of a scan."""
 
-    completer: str
     points: int
     layout: str
     """What was taken of the file, see `Cloud`."""
@@ -82,31 +85,11 @@ class Completed:
     """Points within the map."""
     height_m: float | None
     """The sensor's above what it sees below it; None where too few returns tell it."""
-    untold: tuple[str, ...]
-    """What points do not tell of the network's inputs."""
     away: bool
-    """Whether the network is away from home, see `Prediction.away`."""
+    """Whether the map is unfamiliar to the network, see `Prediction.away`."""
     iou: float | None
     """Of the prediction at the thresholds that `predict_scan` takes, over the voxels that the truth
     knows; None without a truth."""
-
-    def __str__(self) -> str:
-        outside = self.points - self.without - self.inside
-        height = "unknown"
-        if self.height_m is not None:
-            height = f"some {self.height_m:.1f} m above what it sees below it"
-        parts = [
-            f"{self.inside} of {self.points} points used, {self.without} without a return, "
-            f"{outside} outside the map; the sensor's height is {height}",
-            *self.untold,
-        ]
-        if self.away:
-            parts.append(
-                f"{self.completer} denies an unusual share of them, as where it is away from home"
-            )
-        if self.iou is not None:
-            parts.append(f"IoU {self.iou:.3f} at the paper's threshold")
-        return "; ".join(parts)
 
 
 def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan:
@@ -130,8 +113,8 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
     if path.suffix == ".npz":
         with suppress(ValueError):  # an archive of points alone
             content = read_bounded(path, MOST_SCAN_BYTES)
-            found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
-            truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
+            values = read_npz(content, *TRUTH, "voxel_m", max_bytes=MOST_VOXELS)
+            truth = dict(zip((*TRUTH, "voxel_m"), values, strict=True))
     return Scan(str(path), cloud.points, position, cloud.layout, truth)
 
 
@@ -151,9 +134,14 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
 
 
 def predict_scan(
-    completer: Completer, scan: Scan, out: Path, *, thresholds: Thresholds | None = None
-) -> Completed:
-    """Complete one scan.
+    completer: Completer,
+    scan: Scan,
+    out: Path,
+    *,
+    name: str = "",
+    thresholds: Thresholds | None = None,
+) -> ScanReport:
+    """Complete one scan, which `out` then calls `name`, by default as it is called.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, the truth if there is one, and
     the grid) or a point cloud (``.ply``: the centres of the voxels that are occupied at
@@ -174,17 +162,15 @@ def predict_scan(
     if out.suffix == ".ply":
         write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
-        about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
-        predicted = {name: getattr(prediction, name) for name in STORED}
-        _write(out, about, maps | predicted | truth)
-    return Completed(
-        completer=completer.name,
+        about = about_scan(completer, name or scan.name)
+        about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m} | about_others(prediction)
+        _write(out, about, maps | prediction.arrays() | truth)
+    return ScanReport(
         points=len(scan.points),
         layout=scan.layout,
         without=len(scan.points) - len(seen.points),
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - scan.position),
-        untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away or 0) >= UNUSUAL,
         iou=iou(occupied & truth["known"], truth["occupancy"] & truth["known"]) if truth else None,
     )
@@ -197,22 +183,37 @@ def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
     return truth if fits and scan.truth.get("voxel_m") == grid.voxel_m else {}
 
 
+def about_scan(completer: Completer, name: str) -> dict[str, Any]:
+    """What a file says of the scan called `name` that it completes."""
+    return {"method": completer.name, "weights": completer.digest, "scan": name}
+
+
 def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
-    """Write a completion: maps (*grid.shape) but for those that are None, each as one chunk."""
+    """Write a completion: maps by name."""
     with new_hdf5(out) as file:
-        file.attrs.update(about)
         for name, values in maps.items():
-            if values is not None:
-                chunk = file.create_dataset(
-                    name, values.shape, values.dtype, chunks=values.shape, **PACKED
-                )
-                chunk.id.write_direct_chunk((0, 0, 0), compress(values))
+            write_map(file, name, values)
+        file.attrs.update({**about, DIGEST: digest_of(about, maps).hex()})
+
+
+def is_intact(path: Path, about: Mapping[str, str]) -> bool:
+    """Whether a file holds what was written of the scan that it is `about`."""
+    try:
+        return read_guarded(partial(_check, about=about), path, MOST_SCAN_BYTES)
+    except DatasetError:
+        return False
+
+
+def _check(path: Path, *, about: Mapping[str, str]) -> bool:
+    with h5py.File(path, "r") as file:
+        check_digest(file, list(file))
+        return all(file.attrs.get(name) == value for name, value in about.items())
 
 
 def height_above_returns(points: Floats) -> float | None:
     """How high the sensor is above what it sees below it, metres, by returns (N, 3) from it."""
     below = points[(np.hypot(points[:, 0], points[:, 1]) < BELOW_M) & (points[:, 2] < 0), 2]
-    return -float(np.quantile(below, LOWEST)) if len(below) >= LEAST_BELOW else None
+    return -float(np.quantile(below, LOWEST)) if len(below) >= MIN_BELOW else None
 
 
 def read_completion(path: Path) -> Look:
@@ -237,11 +238,11 @@ def _completion(path: Path) -> Look:
             maps = {name: np.asarray(file[name]) for name in names}
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
-        said = check_prediction(Prediction(**parts), shape, str(path))
+        prediction = check_prediction(Prediction(**parts), shape, str(path))
         guess = Guess(
             name=method,
-            occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),
-            tudf=said.distance(None, grid),
+            occupied=prediction.occupied() & maps.get("known", np.ones(shape)).astype(bool),
+            tudf=prediction.distance(None, grid),
         )
         known = maps["known"].astype(bool) if "known" in maps else None
         return Look(
@@ -261,33 +262,58 @@ def _completion(path: Path) -> Look:
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
-def read_line(done: Sequence[Completed]) -> str:
+def looks_of_completion(path: Path) -> list[Look]:
+    """The completion of a scan as the only one of a list; see `read_completion`."""
+    return [read_completion(path)]
+
+
+def draw_completion(path: Path) -> Any:
+    """Draw the completion of a scan, see `read_completion`, as a figure of matplotlib."""
+    from scenegen.view.panels import plain
+    from scenegen.view.pictures import draw_sample
+
+    look = read_completion(path)
+    (guess,) = look.guesses
+    masks = {**look.masks, "predicted": guess.occupied}
+    panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
+    look = replace(look, masks=masks, tudf=guess.tudf)
+    return draw_sample(look, title=plain(path.name), panels=panels)
+
+
+def read_line(reports: Sequence[ScanReport]) -> str:
     """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
     points are no returns."""
-    report = ReadReport()
-    for scan in done:
-        report.add(scan.points, scan.layout, scan.without)
-    return str(report) if any(report.layouts) else f"{report.dropped:,} points without a return"
+    read = ReadReport()
+    for scan in reports:
+        read.add(scan.points, scan.layout, scan.without)
+    return str(read) if any(read.layouts) else f"{read.dropped:,} points without a return"
 
 
-def summary(done: Sequence[Completed]) -> list[str]:
-    """Lines for people on many scans."""
-    heights = [one.height_m for one in done if one.height_m is not None]
-    ious = [one.iou for one in done if one.iou is not None]
-    away = sum(one.away for one in done)
-    lines = list(dict.fromkeys(what for one in done for what in one.untold))
+def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
+    """Lines for people on scans that were completed."""
+    points, without, inside = (
+        sum(getattr(scan, name) for scan in reports) for name in ("points", "without", "inside")
+    )
+    lines = [
+        f"{inside} of {points} points used, {without} without a return, "
+        f"{points - without - inside} outside the map"
+    ]
+    heights = [scan.height_m for scan in reports if scan.height_m is not None]
+    lines.append("too few returns lie below the sensor to tell its height")
     if heights:
+        low, high = (f"{end:.1f}" for end in (min(heights), max(heights)))
+        height = low if low == high else f"{low} to {high}"
+        lines[-1] = f"the sensor is some {height} m above what it sees below it"
+    lines += [UNTOLD[name] for name in completer.inputs if name in UNTOLD]
+    if away := sum(scan.away for scan in reports):
         lines.append(
-            f"the sensor is {min(heights):.1f} to {max(heights):.1f} m above what it sees below it"
+            f"{completer.name} denies an unusual share of the returns of {away} of "
+            f"{plural(len(reports), 'scans')}, as where it is away from home"
         )
-    elif done:
-        lines.append("too few returns lie below the sensor to tell its height")
-    if away:
-        lines.append(f"{away} of {len(done)} scans are away from home for {done[0].completer}")
-    if ious:
+    if ious := [scan.iou for scan in reports if scan.iou is not None]:
         lines.append(
-            f"IoU {np.mean(ious):.3f} at the paper's threshold, in the mean of {len(ious)} "
-            "observations, over what their log knows"
+            f"IoU {np.mean(ious):.3f} at the paper's threshold, over what the log knows "
+            f"({plural(len(ious), 'observations')})"
         )
     return lines
 
@@ -297,18 +323,16 @@ def tasks_of(
     sensor: ArrayLike,
     every: int,
     columns: int | None,
-    quiet: bool,
     **reading: Any,
-) -> tuple[int, Iterable[Task]]:
+) -> tuple[int, Iterable[Task], str]:
     """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
-    to be completed, and these. Raises DatasetError for a folder without scans."""
+    to be completed, these, and a line on how the log was read. Raises DatasetError for a folder
+    without scans."""
     if reading["poses"] is not None or is_log(found):
         log = read_log(found, columns=columns, **reading)
-        if not quiet:
-            note(log.line())
-        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
-    kept = found / "observations"  # what `ingest` keeps beside its maps
-    scans = scans_in(kept if kept.is_dir() else found)[::every]
+        return len(range(0, len(log.poses), every)), scans_of_log(log, every), log.line()
+    observations = found / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(observations if observations.is_dir() else found)[::every]
     if not scans:
         raise DatasetError(
             f"{found}: holds neither a dataset (no dataset.json) nor scans; expected "
@@ -321,49 +345,5 @@ def tasks_of(
             f"{found}: holds several scans called {twice}, which would all be completed into "
             f"{twice}.h5; rename them"
         )
-    return len(scans), zip(
-        names, (partial(read_scan, scan, sensor, columns) for scan in scans), strict=True
-    )
-
-
-def complete_all(
-    completer: Completer, tasks: tuple[int, Iterable[Task]], out: Path, most: int, quiet: bool
-) -> None:
-    """Complete scans into files of their names in the folder `out`, and write a page of at most so
-    many.
-
-    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
-    end where some could not be completed.
-    """
-    count, scans = tasks
-    done, there, broken = [], [], 0
-    with Progress("complete", shown=not quiet) as progress:
-        progress.start(count)
-        for name, read in scans:
-            target = out / f"{name}.h5"
-            if not target.exists():
-                try:
-                    done.append(predict_scan(completer, read(), target))
-                except DiskError:
-                    raise
-                except DatasetError as error:
-                    broken += 1
-                    note(printable(error))
-            if target.exists():
-                there.append(target)
-            progress.count(1)
-    if there:
-        looks = [read_completion(there[n]) for n in evenly(len(there), most)]
-        known = any("occupancy" in look.masks for look in looks)
-        notes = ["Where the log knows nothing, predictions are not shown."] * known
-        write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
-    if broken:
-        raise DatasetError(
-            f"{out}: {broken} of {count} scans could not be completed; the others are there"
-        )
-    if not quiet and done:
-        note(read_line(done))
-    if not quiet:
-        for line in summary(done):
-            note(f"note: {line}")
-        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")
+    readers = (partial(read_scan, scan, sensor, columns) for scan in scans)
+    return len(scans), zip(names, readers, strict=True), ""

@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.fly.course import Course, Recording
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as
+from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
-from scenegen.model.evaluation.report import HEAD, STYLE, Table, block
-from scenegen.model.evaluation.statistics import Scale, brief, summarise
+from scenegen.model.bench.statistics import Scale, brief, summarise
+from scenegen.model.tables import Table, page
 
 
 class Column(NamedTuple):
@@ -37,6 +37,7 @@ BOARD = {
 }
 BEST = "score, less the best's"
 """The last column: the differences flight by flight."""
+WIDE = " body { max-width: none; } th { cursor: pointer; }"
 SORTED = """
 for (const head of document.querySelectorAll("th")) head.onclick = () => {
   const rows = [...head.closest("table").tBodies[0].rows], n = head.cellIndex;
@@ -64,7 +65,7 @@ class Row(NamedTuple):
     @property
     def scores(self) -> list[float]:
         """Of each flight."""
-        return [one.score for one in self.flights]
+        return [flight.score for flight in self.flights]
 
 
 def leaderboard(folder: Path) -> str:
@@ -72,53 +73,50 @@ def leaderboard(folder: Path) -> str:
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
     head sorts by it.
 
-    Scores are those of the recorded outcomes, times and lengths, which `--replay` checks. Raises
+    Scores are those of the recorded outcomes, times and lengths, which `fly replay` checks. Raises
     DatasetError for a file that is no entry, or has courses that are not its suite's.
     """
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
     for path in sorted(folder.glob("*.json")):
-        entry = Recording.read(path)
+        entry = read_recording(path)
         with raised_as(DatasetError, f"{path}: ", of=DatasetError):
             part = part_of(entry)
         row = _row(entry)
         key = (str(entry.suite), str(part), *row.worlds)
         tables.setdefault(key, (part, []))[1].append(row)
     if not tables:
-        raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
+        raise ScenegenError(f"{folder}: holds no entry, .json as `scenegen fly suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
     body = ""
     for (suite, title, *_), (_, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
         cells = [(row.robot, _cells(row, rows[0])) for row in rows]
-        body += block(Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells))
-    page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
-    style = f"{STYLE} body {{ max-width: none; }} th {{ cursor: pointer; }}"
-    page += f"<title>Robots</title><style>{style}</style></head>"
-    return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
+        body += Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells).html()
+    return page("Robots", body, style=WIDE, script=SORTED)
 
 
 def _row(entry: Recording) -> Row:
     """An entry's flights, with the scores that their outcomes, times and lengths give."""
-    courses, found = [], []
-    for course, flights in sorted(entry.courses, key=lambda one: str(named(one[0]))):
-        for number, one in enumerate(flights):
-            best_s = one.shortest_m / course.vehicle.speed_mps
-            success = one.outcome == "success"
-            given = marks(success, one.time_s, one.flown_m, one.shortest_m, best_s)
-            found.append(replace(one, score=given["score"], spl=given["spl"]))
+    courses, scored = [], []
+    for course, flights in sorted(entry.courses, key=lambda flight: str(named(flight[0]))):
+        for number, flight in enumerate(flights):
+            best_s = flight.shortest_m / course.vehicle.speed_mps
+            success = flight.outcome == "success"
+            figures = marks(success, flight.time_s, flight.flown_m, flight.shortest_m, best_s)
+            scored.append(replace(flight, score=figures["score"], spl=figures["spl"]))
             courses.append((course, number))
-    return Row(entry.robot, courses, found)
+    return Row(entry.robot, courses, scored)
 
 
 def _cells(row: Row, best: Row) -> list[str]:
     """An entry's figures, and its scores less those of the best that flew the same courses."""
     cells = [str(len(row.flights))]
     for column in BOARD.values():
-        found = summarise([column.of(one) for one in row.flights], row.worlds, column.scale)
+        summary = summarise([column.of(flight) for flight in row.flights], row.worlds, column.scale)
         for name in ("low", "high"):
-            if found[name] is not None:
-                found[name] = min(max(found[name], 0.0), column.most)
-        cells.append(brief(found))
+            if summary[name] is not None:
+                summary[name] = min(max(summary[name], 0.0), column.most)
+        cells.append(brief(summary))
     pairs = zip(row.scores, best.scores, strict=True)
-    less = summarise([one - other for one, other in pairs], row.worlds)
+    less = summarise([flight - best_score for flight, best_score in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]

@@ -12,10 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.cli import show
-from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import Json, check_ours, write_result, write_whole
-from scenegen.fly.course import Course, Flights, FlownCourse, Recording, replay
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as
+from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
+from scenegen.base.files import Json, check_ours, write_result, write_whole
+from scenegen.fly.course import (
+    Course,
+    Flights,
+    FlownCourse,
+    Recording,
+    read_recording,
+    replay,
+)
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -26,14 +33,12 @@ from scenegen.fly.suite import (
     is_whole,
     named,
     part_of,
-    track_name,
     track_of,
 )
-from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+from scenegen.model.completion.protocol import Conservative, Extrude, Returns
 from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
-from scenegen.run import undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of a flight of which a summary has the mean."""
@@ -81,29 +86,40 @@ def fly_course(
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
     real = real_course(course, hidden)
-    made = robot_maker(robot, weights)(real)
+    pilot = robot_maker(robot, weights)(real)
     try:
-        flown = [fly_mission(real.simulation(n), made) for n in range(real.flights)]
+        flown = [fly_mission(real.simulation(n), pilot) for n in range(real.flights)]
     finally:
-        getattr(made, "close", lambda: None)()
+        getattr(pilot, "close", lambda: None)()
     return replace(course, document=real.sha256), flown
 
 
-counted = partial(show.counted, size=lambda one: len(one[1]))
-"""Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
-Crew = Callable[..., Iterator[Any]]
-"""`counted` with an executor and what makes progress bars."""
+Crew = Callable[[Function, Sequence[Any], int], Iterator[Any]]
+"""Works through courses of so many flights in all, and gives each course with what was made of each
+of its flights."""
+
+
+def crew_of(execute: Executor, **progress: Any) -> Crew:
+    """A crew that works where `execute` says; for `progress`, counted in flights, see
+    `scenegen.base.executors.counted`."""
+
+    def crew(function: Function, courses: Sequence[Any], flights: int) -> Iterator[Any]:
+        return counted(
+            execute, function, courses, total=flights, size=lambda pair: len(pair[1]), **progress
+        )
+
+    return crew
 
 
 def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
     """What is told of each flight, and how hard its mission is."""
     courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
-    grades = dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    grades = dict(crew(partial(_graded, hidden=hidden), courses, total))
     return [
-        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
+        flight.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
-        for one, difficulty in zip(flown, grades[course], strict=True)
+        for flight, difficulty in zip(flown, grades[course], strict=True)
     ]
 
 
@@ -117,27 +133,28 @@ def check_begins(robot: str, course: Course) -> None:
     if robot in NAMES:
         return
 
-    made = own_robot(robot)
+    pilot = own_robot(robot)
     try:
-        made.reset(course.simulation(0).about())
+        pilot.reset(course.simulation(0).about())
     except RobotError as error:
         if error.outcome == "crashed":
             raise ScenegenError(f"--robot {robot}: never begins: {error}") from None
     finally:
-        made.close()
+        pilot.close()
 
 
 def summary(name: str, flown: Sequence[Flown]) -> Json:
     """What is told of flights, together."""
-    ends = Counter(one.outcome for one in flown)
+    ends = Counter(flight.outcome for flight in flown)
     row = {"robot": name, "flights": len(flown)}
     row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
     row |= {
-        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
+        part: round(float(np.mean([getattr(flight, part) for flight in flown])), 4)
+        for part in RATIOS
     }
-    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
-    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
-    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
+    row["min_clearance_m"] = round(min(flight.min_clearance_m for flight in flown), 4)
+    row["most_step_s"] = round(max(flight.most_step_s for flight in flown), 4)
+    return row | {part: sum(getattr(flight, part) for flight in flown) for part in COUNTS}
 
 
 ANEW = "flown anew, the same"
@@ -160,52 +177,68 @@ def fly_courses(
     track: str = "",
     network: str = "",
 ) -> Flights:
-    """The flights through all courses, in their order. What `out` holds of a suite's entry is not
-    flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
+    """Fly through all courses, and record the flights.
+
+    Courses that `out` already holds of a suite's entry are not flown again. The entry is written
+    every `SAVED_S` seconds and when the run is stopped; of other flights, all are kept or none.
+
+    Args:
+        courses: The courses.
+        work: Flies one.
+        name: The robot's name.
+        suite: The suite that the courses are of, if any.
+        out: Where to record.
+        crew: Works through the courses.
+        track: Which of the suite's courses these are.
+        network: SHA-256 of the robot's network.
+
+    Returns:
+        The flights, in the order of the courses.
+    """
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
-    by_name = _kept(out, entry, keys)
-    todo = [course for course, key in zip(courses, keys, strict=True) if key not in by_name]
+    flown = _recorded(out, entry, keys)
+    missing = [course for course, key in zip(courses, keys, strict=True) if key not in flown]
 
     def save() -> str:
-        """Writes what there is; returns what to say of it if the run is stopped."""
+        """Write the entry; return a message for the case that the run is stopped."""
         if out is None:
             return NOTHING_KEPT
-        merged = _kept(out, entry, keys) | by_name  # another run may have written, too
-        held = replace(entry, courses=[merged[key] for key in keys if key in merged])
+        held = replace(entry, courses=[flown[key] for key in keys if key in flown])
         # an entry that is there was read, wherever it was copied from
         write = write_whole if suite and out.exists() else write_result
         write(out, replace(held, complete=is_whole(held)).encoded())
-        there = f"{len(held.courses)} of {len(keys)} courses"
-        return f"stopped; {out} holds {there}: give the same command again to go on"
+        count = f"{len(held.courses)} of {len(keys)} courses"
+        return f"stopped; {out} holds {count}: give the same command again to go on"
 
-    saved_s, total = time.monotonic(), sum(course.flights for course in todo)
-    # only an entry is gone on with: of other flights, all are kept or none
+    saved_s, total = time.monotonic(), sum(course.flights for course in missing)
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            for course, flown in crew(work, todo, "fly", total):
-                by_name[named(course)] = course, flown
+            for course, flights in crew(work, missing, total):
+                flown[named(course)] = course, flights
                 if suite and time.monotonic() - saved_s > SAVED_S:
                     save()
                     saved_s = time.monotonic()
         finally:
-            if todo and len(by_name) >= (1 if suite else len(keys)):
+            if missing and len(flown) >= (1 if suite else len(keys)):
                 save()
-    return [(course, by_name[key][1]) for course, key in zip(courses, keys, strict=True)]
+    return [(course, flown[key][1]) for course, key in zip(courses, keys, strict=True)]
 
 
-def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Course, FlownCourse]:
+def _recorded(
+    out: Path | None, entry: Recording, keys: Sequence[Course]
+) -> dict[Course, FlownCourse]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
-    anything would be lost."""
+    flights would be lost."""
     if out is None:
         return {}
     if entry.suite is None or not out.exists():
         with suppress(DatasetError):  # another file, or none
-            if Recording.read(out).suite:
+            if read_recording(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)
         return {}
-    former = Recording.read(out)
+    former = read_recording(out)
     entry = replace(entry, track=entry.track or track_of(former))
     if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
@@ -214,71 +247,66 @@ def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Co
         )
     if former.network and entry.network and former.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
-    found = {named(course): (course, flown) for course, flown in former.courses}
-    if not found.keys() <= {*keys}:  # they would be lost
+    flown = {named(course): (course, flights) for course, flights in former.courses}
+    if not flown.keys() <= {*keys}:
         raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
-    return found
+    return flown
 
 
-def flown_again(
-    path: Path, hidden: int | None, maps: Path | None, anew: Work | None, crew: Crew
-) -> tuple[str, Flights, dict[str, str], list[Flown]]:
-    """Replay a recording.
+def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording, dict[str, str]]:
+    """Read a recording to fly it again.
 
     Args:
         path: The recording.
-        hidden: The number of its hidden track, if it is an entry to one.
+        track: The track that an entry must be to; see `track_name`.
         maps: The folder of its maps, if it is an entry to their track.
-        anew: Lets a robot fly a course. It then flies every sixteenth, too.
-        crew: Works through the courses.
 
     Returns:
-        The robot's name, the flights flown again, notes for the summary, and the flights of `anew`
-        that are not, to the bit, as they were recorded.
+        The recording, an entry's with the courses of its suite; and notes for the summary.
 
     Raises:
-        DatasetError: A flight is not as it was.
-        ScenegenError: `hidden` or `maps` are not those of the entry, or a course is not one of its
-            suite's.
+        DatasetError: A course is not one of its suite's.
+        ScenegenError: It is not of that track.
     """
-    recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
-    if recording.suite is not None:
-        with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-            part = part_of(recording)
-        if part.track != track:
-            raise ScenegenError(
-                f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
-                "--hidden and its number, --maps and their folder, or neither"
-            )
-        # the suite's own, in place of worlds that a stranger's file leads to by another path
-        frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
-        courses = [
-            (replace(frozen[named(course)], document=course.document), flights)
-            for course, flights in recording.courses
-        ]
-        recording, told["courses"] = replace(recording, courses=courses), str(part)
-    elif track != "own":
-        raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
+    recording = read_recording(path)
+    if recording.suite is None:
+        if track != "own":
+            raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
+        return recording, {}
+    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        part = part_of(recording)
+    if part.track != track:
+        raise ScenegenError(
+            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
+            "--hidden and its number, --maps and their folder, or neither"
+        )
+    # the suite's own, in place of worlds that a stranger's file leads to by another path
+    frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+    courses = [
+        (replace(frozen[named(course)], document=course.document), flights)
+        for course, flights in recording.courses
+    ]
+    return replace(recording, courses=courses), {"courses": str(part)}
+
+
+def fly_again(path: Path, recording: Recording, hidden: int | None, crew: Crew) -> Flights:
+    """The recorded flights, flown again. Raises DatasetError where one is not as it was."""
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
-    told["as recorded, to the bit"], unlike = f"{count} flights", list[Flown]()
-    if anew is not None:
-        chosen = recording.courses[::QUICK]
-        tried, unlike = sum(len(flights) for _, flights in chosen), _unlike(chosen, anew, crew)
-        told[ANEW] = f"{tried - len(unlike)} of {tried} flights"
-    flown = [(course, again[course]) for course, _ in recording.courses]
-    return recording.robot, flown, told, unlike
+        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, count))
+    return [(course, again[course]) for course, _ in recording.courses]
 
 
-def _unlike(recorded: Flights, work: Work, crew: Crew) -> list[Flown]:
-    """The flights of a robot through these courses that are not, to the bit, as recorded."""
-    before = {named(course): flights for course, flights in recorded}
+def fly_anew(recording: Recording, work: Work, crew: Crew) -> tuple[int, list[Flown]]:
+    """Let a robot fly every sixteenth course of a recording. Returns how many flights that are, and
+    those that are not, to the bit, as recorded."""
+    before = {named(course): flights for course, flights in recording.courses[::QUICK]}
     count, unlike = sum(map(len, before.values())), list[Flown]()
-    for course, flown in crew(work, [course for course, _ in recorded], "fly anew", count):
+    courses = [course for course, _ in recording.courses[::QUICK]]
+    for course, flown in crew(work, courses, count):
         pairs = zip(flown, before[named(course)], strict=True)
-        unlike += [again for again, former in pairs if again.digest != former.digest]
-    return unlike
+        unlike += [again for again, recorded in pairs if again.digest != recorded.digest]
+    return count, unlike
 
 
 def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:

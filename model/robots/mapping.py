@@ -15,14 +15,13 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
-from scenegen.model.completion.protocol import MapCompleter
-from scenegen.model.completion.unlearned import Returns
+from scenegen.model.bench.planner import field_at, refine
+from scenegen.model.bench.trials import RATHER, risk_of
+from scenegen.model.completion.protocol import MapCompleter, Returns
 from scenegen.model.config import PlanConfig, Thresholds
-from scenegen.model.evaluation.planning.measure import RATHER, risk_of
-from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
-from scenegen.truth.search import search
+from scenegen.truth.difficulty import search
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 
@@ -105,8 +104,8 @@ class MappingRobot:
             if path is None and self._doubts:
                 path = self._plan(observation, self._seen)
             if path is not None:
-                wanted = float(self._about["radius_m"]) + SPARES_M[0]
-                self._least_m = min(self._narrowest_m(path), wanted)
+                clearance_m = float(self._about["radius_m"]) + SPARES_M[0]
+                self._least_m = min(self._narrowest_m(path), clearance_m)
         self.path = path
         if path is None:
             return no_way(self._about)
@@ -155,10 +154,10 @@ class MappingRobot:
     def believed(self) -> tuple[Mask, Field]:
         """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
         each."""
-        found = self._completer.complete(self.observed, self.free, grid=self.grid)
+        prediction = self._completer.complete(self.observed, self.free, grid=self.grid)
         at = Thresholds(probability=PLAN.careful_probability)
-        occupied = self.observed | (found.occupied(at) & ~self.free)
-        return occupied, risk_of(found, occupied, self.observed | self.free, PLAN)
+        occupied = self.observed | (prediction.occupied(at) & ~self.free)
+        return occupied, risk_of(prediction, occupied, self.observed | self.free, PLAN)
 
     def _believe(self) -> None:
         """Take what is believed in the window over into the fence, but for the window's rim, whose
@@ -198,8 +197,8 @@ class MappingRobot:
 
     def _voxels(self, points: Floats) -> tuple[Ints, ...]:
         """The fence's voxels that hold `points` (n, 3), world metres, or are next to them."""
-        found = np.floor((points - self._start) / self.grid.voxel_m).astype(np.int64)
-        return tuple(np.clip(found, 0, np.array(self._fence.shape) - 1).T)
+        voxels = np.floor((points - self._start) / self.grid.voxel_m).astype(np.int64)
+        return tuple(np.clip(voxels, 0, np.array(self._fence.shape) - 1).T)
 
     def _plan(self, observation: Observation, distance: Field) -> Floats | None:
         """A path (n, 3) from the vehicle to the goal, world metres, that keeps its `distance`."""
@@ -245,8 +244,8 @@ def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:
 
 def _halved(path: Floats) -> Floats:
     """The points of a path (n, 3), and those halfway between them, (2 n - 1, 3)."""
-    both = np.repeat(path, 2, axis=0)
-    return 0.5 * (both[:-1] + both[1:])
+    doubled = np.repeat(path, 2, axis=0)
+    return 0.5 * (doubled[:-1] + doubled[1:])
 
 
 def _box(low: Ints, count: ArrayLike) -> tuple[slice, ...]:

@@ -12,7 +12,7 @@ from scenegen.fly.simulation import Observation
 
 AHEAD_M, AHEAD_S = 0.3, 0.4
 """The point of the path that is headed for: so far ahead, and so many seconds at the speed."""
-LEAST_AHEAD_M = 0.15
+MIN_AHEAD_M = 0.15
 """The least distance of the point that is headed for, metres."""
 CUT_M = 0.2
 """Room beside the vehicle with which corners may be cut, metres."""
@@ -35,7 +35,7 @@ def velocity_to(
 ) -> Floats:
     """The action (4,) that flies at `speed` along a `direction` (3,) of any length, and turns to
     look where it goes."""
-    most = math.radians(float(about["yaw_rate_deg_s"]))
+    fastest = math.radians(float(about["yaw_rate_deg_s"]))
     length = math.sqrt(float(direction @ direction))
     w, x, y, z = observation["quaternion"].tolist()
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -43,7 +43,7 @@ def velocity_to(
     level = math.hypot(direction[0], direction[1]) > 0.2 * length
     turn = TURN * math.remainder(course - yaw, math.tau) if level else 0.0
     velocity = direction * (speed / max(length, 1e-9))
-    return np.array([*velocity, min(max(turn, -most), most)])
+    return np.array([*velocity, min(max(turn, -fastest), fastest)])
 
 
 def no_way(about: Observation) -> Floats:
@@ -64,7 +64,7 @@ def follow(
     `room` tells how far points (n, 3) are from what is taken for occupied, (n,) metres. A corner
     is cut no nearer to it than the path goes, unless `CUT_M` is left beside the vehicle.
     """
-    most, pull = float(about["speed_mps"]), float(about["acceleration_mps2"])
+    fastest, pull = float(about["speed_mps"]), float(about["acceleration_mps2"])
     radius, (low, high) = float(about["radius_m"]), about["bounds"]
     speed = math.sqrt(float(observation["velocity"] @ observation["velocity"]))
     steps = np.diff(path, axis=0)
@@ -85,22 +85,22 @@ def follow(
         part = next_points(ahead)
         straight = np.linspace(part[0], part[-1], POINTS)
         least = min(float(room(part).min()), radius + CUT_M)
-        if ahead <= LEAST_AHEAD_M or room(straight).min() > least - 1e-6:
+        if ahead <= MIN_AHEAD_M or room(straight).min() > least - 1e-6:
             break
         ahead *= 0.7
     look = min(sight, left)
     allowed = np.maximum(spare(next_points(look)) / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
-    wanted = float(np.sqrt(allowed**2 + pull * way).min())
-    wanted = min(most, wanted, math.sqrt(pull * left) + 0.1)
+    target = float(np.sqrt(allowed**2 + pull * way).min())
+    target = min(fastest, target, math.sqrt(pull * left) + 0.1)
     if speed > SLOWEST_MPS:
         beyond = np.linspace(0, sight, POINTS)
         straight = path[0] + beyond[:, None] * observation["velocity"] / speed
         met = spare(straight) < STRAIGHT_M
         if met.any():
             free = beyond[met.argmax()]
-            wanted = min(wanted, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
-    return velocity_to(part[-1] - path[0], wanted, observation, about)
+            target = min(target, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
+    return velocity_to(part[-1] - path[0], target, observation, about)
 
 
 HORIZON_M = 4.0
@@ -148,14 +148,14 @@ class ReactiveRobot:
     def _free(self, ways: Floats, observation: Observation, most: float) -> Floats:
         """How far each of the ways (n, 3) is free, (n,) metres, `most` at most."""
         returned = is_return(observation["ranges"], min_range_m=0.0)
-        there = observation["points"][returned].astype(np.float64)
-        points = rotate(observation["quaternion"], there)
+        returns = observation["points"][returned].astype(np.float64)
+        points = rotate(observation["quaternion"], returns)
         squares = (points * points).sum(axis=1)
         points, squares = points[squares < HORIZON_M**2], squares[squares < HORIZON_M**2]
         along = ways @ points.T
-        beside = squares - along * along
+        offsets = squares - along * along
         wide = float(self._about["radius_m"]) + SPARE_M
-        in_way = (along > 0) & (beside < wide * wide)
+        in_way = (along > 0) & (offsets < wide * wide)
         free = np.where(in_way, along, most).min(axis=1, initial=most)
         edges = self._about["bounds"] - observation["position"]
         with np.errstate(divide="ignore", invalid="ignore"):

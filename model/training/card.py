@@ -8,11 +8,12 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from scenegen.errors import DatasetError
-from scenegen.files import Json, read_bounded
-from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
-from scenegen.model.config import VARIANTS
-from scenegen.model.evaluation.metrics import METRICS
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import Json
+from scenegen.base.limits import MOST_EPOCHS, MOST_LINE_BYTES
+from scenegen.base.reading import read_bounded
+from scenegen.model.bench.metrics import METRICS
+from scenegen.model.config import VARIANTS, target_name
 
 Scalars = dict[str, float]
 """Figures of a step or an epoch, by name."""
@@ -68,6 +69,13 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
     return figure
 
 
+def draw_run(folder: Path) -> Any:
+    """Draw the curves of a training run's folder; see `draw`. Raises DatasetError."""
+    from scenegen.view.panels import plain
+
+    return draw(read_rows(folder / "metrics.csv"), title=plain(folder.resolve().name))
+
+
 FULL_EPOCHS = 100
 """Epochs of the full protocol at most; it ends when validation no longer improves."""
 GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}
@@ -79,7 +87,8 @@ def card(name: str, about: Json) -> str:
     settings, figures, command = about["settings"], about["figures"], about["command"]
     network, samples = settings["network"], settings["samples"]
     variant = VARIANTS.get(network["variant"])  # nobody says what a user's own predicts
-    outputs = [what for task, what in GIVES.items() if variant and task in variant.tasks]
+    outputs = [output for task, output in GIVES.items() if variant and task in variant.tasks]
+    outputs += [target_name(name) for name in network.get("targets", ())]
     gives = f" and gives {' and '.join(outputs)}" if outputs else ""
     shares = [f" (weight {share})" for share in settings.get("shares", ())]
     sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")
@@ -90,13 +99,13 @@ def card(name: str, about: Json) -> str:
     versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
     labels = {"loss": "loss"} | {name: metric.label for name, metric in occupancy_first}
-    shown = {
+    columns = {
         label: figures[f"val_{key}"] for key, label in labels.items() if f"val_{key}" in figures
     }
     return f"""# {name}
 
-A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, \
-stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of one map{gives}.
+A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}. \
+It takes {", ".join(network["inputs"])} of one map{gives}.
 
 | trained | |
 |---|---|
@@ -110,9 +119,9 @@ seed {settings["seed"]}, {settings["precision"]} |
 
 Means over the validation split at the paper's thresholds, whole maps:
 
-| {" | ".join(shown)} |
-{"|---" * len(shown)}|
-| {" | ".join(f"{value:.3f}" for value in shown.values())} |
+| {" | ".join(columns)} |
+{"|---" * len(columns)}|
+| {" | ".join(f"{value:.3f}" for value in columns.values())} |
 
 {_full_protocol(settings, command)}\
 Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \

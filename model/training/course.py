@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -11,20 +11,20 @@ import numpy as np
 import torch
 from torch import nn
 
-from lidarsim.grid import Floats, GridSpec, Mask
-from scenegen.errors import DatasetError
-from scenegen.model.completion.protocol import Prediction
+from lidarsim.grid import Floats
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import chunked
+from scenegen.draw.sample import rng_of
+from scenegen.model.bench.methods import best_of, ious_by_threshold, judged_by
+from scenegen.model.bench.metrics import METRICS, measure
+from scenegen.model.completion.protocol import PARTS, Prediction
 from scenegen.model.config import Thresholds, TrainConfig
-from scenegen.model.evaluation.metrics import METRICS, measure
-from scenegen.model.evaluation.thresholds import best_of, ious_by_threshold, judged_by
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
-from scenegen.run import chunked
-from scenegen.sample import rng_of
 
 
 @torch.inference_mode()
@@ -41,8 +41,9 @@ def validate(
     ``best_distance_m``.
     """
     network.eval()
-    loss = loss_of(config.loss, maps.grid)
-    totals = defaultdict[str, Floats](lambda: np.zeros(2))  # sums and counts
+    targets: Any = network.targets
+    loss, usual = loss_of(config.loss, maps.grid, targets=targets), Thresholds()
+    sums = defaultdict[str, Floats](lambda: np.zeros(2))  # of values, and of how many they are
     largest, ious, judged = 0.0, list[Floats](), ""
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
@@ -52,55 +53,47 @@ def validate(
             with autocast(group.device, group.precision):
                 output = Output(*network(placed))
             for name, value in loss(output, placed).items():
-                totals[name] += np.array([value.item() * count, count])
-            predicted: dict[str, Any] = {}
-            if output.logits is not None:
-                probability = output.logits.float().sigmoid().numpy(force=True)
-                predicted["occupancy_probability"] = probability
-                largest = max(largest, float(probability.max()))
-            if output.tudf is not None:
-                predicted["tudf"] = output.tudf.float().numpy(force=True)
+                sums[name] += np.array([value.item() * count, count])
+            predicted = {
+                name: values.numpy(force=True)
+                for name, values in output.predictions(targets, maps.grid).items()
+                if name in PARTS
+            }
+            if "occupancy_probability" in predicted:
+                largest = max(largest, float(predicted["occupancy_probability"].max()))
             for n in range(count):
                 prediction = Prediction(**{name: values[n] for name, values in predicted.items()})
                 truth = {name: values[n].numpy() for name, values in batch.items()}
                 known = truth.get("known", np.ones(maps.grid.shape, bool))
                 judged = judged_by(prediction)
                 ious.append(ious_by_threshold(prediction, truth["occupancy"], known))
-                scores = _scores(prediction, truth, known, maps.grid)
+                scores = measure(
+                    prediction.occupied(),
+                    prediction.distance(None, maps.grid),
+                    truth["occupancy"],
+                    truth["tudf"],
+                    # what is not known has number 1, which is no class
+                    classes=np.zeros(maps.grid.shape, np.uint8) + ~known,
+                    class_count=1,
+                    certain=truth.get("certain"),
+                )[0]
                 for name, value in zip(METRICS, scores.tolist(), strict=True):
                     if math.isfinite(value):  # a map without such voxels says nothing of them
-                        totals[name] += (value, 1)
-    everywhere = group.gather((dict(totals), largest, ious, judged))
+                        sums[name] += (value, 1)
+    everywhere = group.gather((dict(sums), largest, ious, judged))
+    every_sum, tops, every_iou, judges = zip(*everywhere, strict=True)
     means = dict.fromkeys(METRICS, math.nan)
-    for name in [name for theirs, *_ in everywhere for name in theirs]:
-        total, number = sum(theirs.get(name, np.zeros(2)) for theirs, *_ in everywhere)
+    for name in [name for theirs in every_sum for name in theirs]:
+        total, number = sum(theirs.get(name, np.zeros(2)) for theirs in every_sum)
         means[name] = float(total / number)
-    _, tops, every_iou, judges = zip(*everywhere, strict=True)
     mean_ious = np.mean([iou for theirs in every_iou for iou in theirs], axis=0)
     judged = max(judges)  # a process without a map has none
-    best = getattr(best_of(judged, mean_ious, Thresholds()), judged)
     return {
         **means,
         "largest": max(tops),
         "best_iou": float(mean_ious.max()),
-        f"best_{judged}": best,
+        f"best_{judged}": getattr(best_of(judged, mean_ious, usual), judged),
     }
-
-
-def _scores(
-    prediction: Prediction, truth: Mapping[str, Any], known: Mask, grid: GridSpec
-) -> Floats:
-    """The `METRICS` (metrics,) of one map, over all voxels whose truth is `known`."""
-    return measure(
-        prediction.occupied(),
-        prediction.distance(None, grid),
-        truth["occupancy"],
-        truth["tudf"],
-        # what is not known has number 1, which is no class
-        classes=np.zeros(grid.shape, np.uint8) + ~known,
-        class_count=1,
-        certain=truth.get("certain"),
-    )[0]
 
 
 STREAM_INTERVAL = 5000
@@ -130,26 +123,23 @@ class Course:
         self._most = (
             config.epochs * self._pass if config.maps is None else max(config.maps // self.batch, 1)
         )
-        constant = config.schedule == "constant"
-        self._warmup = 0 if constant else math.ceil(config.warmup_share * self._most)
-        self._stops = config.schedule != "decay"  # as soon as validation stalls
-        self._cosine = config.schedule == "cosine"
-        self.latest_decay = {
-            "cosine": self._warmup,
-            "decay": self._most - math.ceil(config.decay_share * self._most),
-            "constant": self._most,
-        }[config.schedule]
+        self._falls = config.schedule == "decay"
+        """Whether the learning rate rises and falls; else it is constant."""
+        self._warmup = math.ceil(config.warmup_share * self._most) if self._falls else 0
+        self.latest_decay = self._most
         """The step at which the learning rate begins to fall, unless validation stalls before."""
+        if self._falls:
+            self.latest_decay -= math.ceil(config.decay_share * self._most)
 
     def steps(self, progress: Progress) -> range:
         """The steps of the round that comes next; none where the run ends.
 
-        Where validation has stalled, the run ends (cosine and constant), or its decay begins, as
-        `progress` then says.
+        Where validation has stalled, the run ends (constant), or its decay begins, as `progress`
+        then says.
         """
         first = progress.epoch * self.round
         if progress.waited >= self._config.patience:
-            if self._stops:
+            if not self._falls:
                 return range(0)
             if progress.decay is None and first < self.latest_decay:
                 progress.decay = first
@@ -158,21 +148,18 @@ class Course:
     def end(self, decay: int | None) -> int:
         """How many steps the run has, where validation stalled at step `decay`; None for not at
         all."""
-        if decay is None or self._stops:
+        if decay is None or not self._falls:
             return self._most
         share = self._config.decay_share
         return decay + min(math.ceil(decay * share / (1 - share)), self._most - self.latest_decay)
 
     def rate(self, step: int, decay: int | None) -> float:
-        """The learning rate of `step`: up a line; then, for "cosine", down a cosine to 0 at the
-        end, and for "decay", level, and from the decay on down a line to 0 at the end. "constant"
-        has no warm-up, either, so that no rate depends on the budget."""
+        """The learning rate of `step`: up a line, then level, and from the decay on down a line to
+        0 at the end. "constant" has no warm-up, either: no rate depends on the budget."""
         peak, end = self._config.lr, self.end(decay)
         begin = self.latest_decay if decay is None else decay
         if step < self._warmup:
             return peak * (step + 1) / self._warmup
-        if self._cosine:
-            return peak * 0.5 * (1 + math.cos(math.pi * (step - begin) / (end - begin)))
         return peak if step < begin else peak * (end - step) / (end - begin)
 
     def batches(self, first: int, count: int) -> Iterator[list[Key]]:

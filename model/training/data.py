@@ -15,14 +15,15 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
-from scenegen.dataset.gather import check_disjoint
-from scenegen.dataset.generation import fraction
-from scenegen.dataset.read import Dataset as SampleDataset
-from scenegen.errors import DatasetError, ScenegenError, short
-from scenegen.model.config import TrainConfig
+from scenegen.base.errors import DatasetError, ScenegenError, short
+from scenegen.dataset.collection import check_together, open_data
+from scenegen.dataset.read import AnyDataset
+from scenegen.draw.mixture import fraction
+from scenegen.draw.sample import Sample, rng_of
+from scenegen.model.config import TrainConfig, target_name
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
-from scenegen.sample import Sample, rng_of
+from scenegen.model.targets import BUILT_IN, channels_of, target_called, true_map
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper, Sensing
@@ -54,12 +55,12 @@ class Samples(Protocol):
     """What tells these samples from all others: a run with another digest is another run."""
 
     # where samples have a `weight` that is not None, as those of `opened` may, they come in
-    # proportion to it
+    # proportion to it; where they have `parts`, targets find their channels there, see `parts_of`
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Sample:
-        """One sample; only its `occupancy`, and what the inputs access, is asked of it."""
+        """One sample; only its `occupancy`, and what inputs and targets access, is asked of it."""
         ...
 
 
@@ -70,12 +71,13 @@ Key = tuple[int, int]
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
-    def __init__(self, dataset: SampleDataset, split: str, weight: Any = None):
+    def __init__(self, dataset: AnyDataset, split: str, weight: Any = None):
         self.weight = weight
-        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
-        self.kind, self.digest = dataset.manifest.graded, str(dataset.manifest.digest)
+        self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, dataset.name
+        self.kind, self.digest = dataset.kind, dataset.digest
         self.settings = dataset.settings
-        self.known = dataset.manifest.known
+        known = (one.manifest.known for one in dataset.datasets)
+        self.known = next((one for one in known if one is not None), None)
         self._split = dataset.split(split)
 
     def __len__(self) -> int:
@@ -84,21 +86,25 @@ class SplitSamples:
     def __getitem__(self, index: int) -> Sample:
         return self._split[index]
 
+    @property
+    def parts(self) -> list[Mapping[str, Any]]:
+        """The settings of the parts of samples of each dataset."""
+        return [one.manifest.parts for one in self._split.dataset.datasets]
 
-def opened(folders: Any, split: str) -> list[Samples]:
-    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that
-    holds none, and where a merged or taken dataset has samples of another one.
 
-    `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a
-    stream's parts are. Weights are numbers above 0, in proportion to which samples come in
-    training, however many each dataset holds; without any, each sample comes once a pass.
+def opened(names: Any, split: str) -> list[Samples]:
+    """The samples of one split of every dataset that is named. Raises DatasetError for a name of
+    none, and where two hold the same samples, or a world in two splits.
+
+    `names` is a list of what `open_data` takes, or of pairs (name, weight), or a mapping to
+    weights, as a stream's parts are. Weights are numbers above 0, in proportion to which samples
+    come in training, however many each dataset holds; without any, each comes once a pass.
     """
-    if isinstance(folders, Mapping):
-        folders = folders.items()
-    parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
-    datasets = [SampleDataset(folder, whole=True) for folder, _ in parts]
-    if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
-        check_disjoint(datasets)  # what was merged or taken may hold samples of the others
+    if isinstance(names, Mapping):
+        names = names.items()
+    parts = [one if isinstance(one, tuple) else (one, None) for one in names]
+    datasets = [open_data(name) for name, _ in parts]
+    check_together([one for dataset in datasets for one in dataset.datasets])
     return [
         SplitSamples(dataset, split, weight)
         for dataset, (_, weight) in zip(datasets, parts, strict=True)
@@ -107,7 +113,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
 
 class Maps(Dataset):
     """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
-    (*grid.shape) each, and the truth, by name.
+    (*grid.shape) each, and the truth of occupancy, distances and `targets`, by name.
 
     ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
     `complete` sees a scan of points. `split` is what the samples are called in
@@ -115,7 +121,11 @@ class Maps(Dataset):
     """
 
     def __init__(
-        self, sources: Sequence[Samples], split: str, inputs: Sequence[str] = ("observed",)
+        self,
+        sources: Sequence[Samples],
+        split: str,
+        inputs: Sequence[str] = ("observed",),
+        targets: Sequence[str] = (),
     ):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
@@ -127,6 +137,7 @@ class Maps(Dataset):
                 )
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
+        self.targets = tuple(dict.fromkeys((*BUILT_IN, *targets)))
         self.grid = sources[0].grid
         self.settings = [one for source in sources for one in settings_of(source)]
         self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
@@ -157,15 +168,24 @@ class Maps(Dataset):
         sensor = getattr(sample, "lidar", None) or source.lidar
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
-        maps["occupancy"] = sample.occupancy
-        # of these voxels, so that of a dataset that stores distances no more is read
-        maps["tudf"] = distance_field(sample.occupancy, source.grid)
+        truth = {name: true_map(name, sample, source.grid) for name in self.targets}
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
-            maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
+            maps["certain"] = truth["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
-        return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
+        batch = {name: turned(values, turn) for name, values in maps.items()}
+        for name, values in truth.items():
+            batch[target_name(name)] = target_called(name).turned(values, turn)
+        return {name: torch.from_numpy(values) for name, values in batch.items()}
+
+    def channels(self) -> tuple[int, ...]:
+        """How many channels each of the `targets` has that is not built in.
+
+        Raises DatasetError where the sources do not tell, or differ.
+        """
+        parts = [settings for source in self.sources for settings in parts_of(source)]
+        return tuple(channels_of(name, parts) for name in self.targets[len(BUILT_IN) :])
 
     def order(self, batch: int) -> Batches | None:
         """The batches of a stream, whose maps come in its own order; None for datasets, which are
@@ -213,13 +233,21 @@ def settings_of(source: Samples) -> list[Sensing]:
     return [Sensing(*one) for one in getattr(source, "settings", (plain,))]
 
 
+def parts_of(source: Samples) -> list[Mapping[str, Any]]:
+    """The settings of the parts of samples, such as labels, of every part of a source; a user's own
+    has `parts`, a list of them, or none."""
+    if isinstance(source, Stream):
+        return [component.recipe.parts for component in source.mixture.components]
+    return getattr(source, "parts", [{}])
+
+
 def check_alike(sources: Sequence[Samples]) -> None:
     """Raise DatasetError unless all `sources` have one grid."""
     first = sources[0]
-    for other in sources[1:]:
-        if other.grid != first.grid:
+    for source in sources[1:]:
+        if source.grid != first.grid:
             raise DatasetError(
-                f"{other.name}: its grid is {other.grid}, that of {first.name} is {first.grid}; "
+                f"{source.name}: its grid is {source.grid}, that of {first.name} is {first.grid}; "
                 f"one network takes one grid: train on datasets that share it"
             )
 
@@ -265,23 +293,23 @@ def epoch_batches(
     order = order.astype(np.min_scalar_type(len(maps)))
     turns = views(maps, config, len(order), rng)
     for n in range(first, max(len(order) // batch, 1)):
-        here = slice(n * batch, (n + 1) * batch)
-        yield list(zip(order[here].tolist(), turns[here].tolist(), strict=True))
+        rows = slice(n * batch, (n + 1) * batch)
+        yield list(zip(order[rows].tolist(), turns[rows].tolist(), strict=True))
 
 
 def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
     """The maps of a pass by source. Each source's come in an order of its own, which goes on from
     pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
     source have come."""
-    found = []
+    orders = []
     for number, count in enumerate(maps.counts):
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
             order = rng_of(seed, number, turn, 0).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
-        found.append(maps.starts[number] + np.concatenate(drawn))
-    return found
+        orders.append(maps.starts[number] + np.concatenate(drawn))
+    return orders
 
 
 def load(
@@ -294,17 +322,17 @@ def load(
     # would end them, too, and with them the step that is being made
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
-        found = iter(loader)
+        batches_read = iter(loader)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
-        yield from found
+        yield from batches_read
     except ScenegenError as error:  # a loader process hands over its traceback with it
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     finally:
         # a traceback that holds them would keep this process from ending
-        getattr(found, "_shutdown_workers", lambda: None)()
+        getattr(batches_read, "_shutdown_workers", lambda: None)()
 
 
 @contextmanager

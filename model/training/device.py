@@ -11,11 +11,11 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from lidarsim import GridSpec
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
+from scenegen.base.executors import processor
 from scenegen.model.config import LEVELS
 from scenegen.model.losses import at_least_one
 from scenegen.model.network import prefers_bfloat16
-from scenegen.run.software import processor
 
 FEWEST_CELLS = 32
 """Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""
@@ -57,7 +57,7 @@ def resolve_precision(
 
     "auto" is bfloat16 where that is faster. On a CPU it is float32 for maps whose coarsest level
     has but a few cells, too: there oneDNN's gradient of a convolution's filters in bfloat16 depends
-    on what its memory held before (docs/log.md).
+    on what its memory held before (docs/log).
     """
     if precision == "auto":
         if device.type == "cuda":
@@ -147,54 +147,7 @@ class Group:
 
     def gather(self, mine: Any) -> list[Any]:
         """What every process gives, in order."""
-        found = [mine] * self.size
+        gathered = [mine] * self.size
         if self.size > 1:
-            dist.all_gather_object(found, mine)
-        return found
-
-
-class _Total(torch.autograd.Function):
-    """The sum of all processes' tensors."""
-
-    @staticmethod
-    def forward(ctx: Any, mine: Tensor) -> Tensor:
-        dist.all_reduce(total := mine.clone())
-        return total
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        return _Total.forward(ctx, *gradients)
-
-
-class SharedNorm(nn.BatchNorm3d):
-    """A batch norm in any dimensions, whose statistics are those of all processes' maps:
-    torch's own (`nn.SyncBatchNorm`) is for GPUs alone."""
-
-    @classmethod
-    def within(cls, module: nn.Module) -> None:
-        """Make one of every batch norm in a module that has weights and keeps statistics, as those
-        of `model/network.py` do."""
-        for child in module.modules():
-            known = isinstance(child, nn.BatchNorm1d | nn.BatchNorm2d | nn.BatchNorm3d)
-            if known and child.affine and child.track_running_stats:
-                child.__class__ = cls
-
-    def forward(self, x: Tensor) -> Tensor:
-        """See `nn.BatchNorm3d`."""
-        if not self.training:
-            return nn.functional.batch_norm(
-                x, self.running_mean, self.running_var, self.weight, self.bias, eps=self.eps
-            )
-        axes, wide = [0, *range(2, x.ndim)], [1, -1, *[1] * (x.ndim - 2)]
-        count = x.numel() // x.shape[1] * dist.get_world_size()
-        centred = x.float() - (mean := _Total.apply(x.float().sum(axes)) / count).view(wide)
-        variance = _Total.apply(centred.square().sum(axes)) / count
-        with torch.no_grad():
-            self.num_batches_tracked += 1
-            share = self.momentum
-            if share is None:  # their mean
-                share = 1 / int(self.num_batches_tracked)
-            self.running_mean.lerp_(mean, share)
-            self.running_var.lerp_(variance * (count / max(count - 1, 1)), share)
-        scale = self.weight * torch.rsqrt(variance + self.eps)
-        return (centred * scale.view(wide) + self.bias.view(wide)).to(x.dtype)
+            dist.all_gather_object(gathered, mine)
+        return gathered

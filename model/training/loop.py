@@ -16,23 +16,30 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from scenegen.base.errors import (
+    DatasetError,
+    StoppedError,
+    empty_split,
+    is_out_of_memory,
+    raised_as,
+)
+from scenegen.base.executors import commit, installed, software
+from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.parts import mapping_entry, sensor_entry
-from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
-from scenegen.files import Json
+from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
+from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.losses import loss_of
+from scenegen.model.losses import loss_of, summed
 from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
-    SharedNorm,
     TrainingError,
     autocast,
     choose_device,
@@ -40,7 +47,6 @@ from scenegen.model.training.device import (
     resolve_precision,
 )
 from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
-from scenegen.run.software import commit, installed, software
 
 RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
 """Names of a run's figures, besides metrics, that no term of a loss may have."""
@@ -50,7 +56,7 @@ PACKAGES = ("torch", "safetensors")
 
 @dataclass(frozen=True, kw_only=True)
 class Watcher:
-    """Who is told how a run goes, and may end it."""
+    """Callbacks of a run; `stop` may end it."""
 
     on_start: Callable[[int, int, int], None] = lambda epoch, total, done: None
     """Called when an epoch begins, with its number from 0, its maps, and how many of them are
@@ -86,25 +92,25 @@ def train(
     `out`.
     """
     watcher, where = watcher or Watcher(), choose_device(device)
-    maps = Maps(training, "train", config.network.inputs)
-    checks = Maps(checking, "val", config.network.inputs)
-    variant = config.network.variant
+    channels = config.network.inputs, config.network.targets
+    maps, checks = Maps(training, "train", *channels), Maps(checking, "val", *channels)
+    variant, sizes = config.network.variant, dict[str, Any]()
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
-        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
-    # where nothing is asked for, a run keeps what it was begun with
-    former: Json = {"optimizer": "muon"}
-    if (out / CONFIG).exists():
-        former = RunFolder(out).settings()
-    if config.optimizer == "auto":
-        config = replace(config, optimizer=former.get("optimizer", "adamw"))
-    wanted = former.get("precision", "auto") if config.precision == "auto" else config.precision
-    precision = resolve_precision(wanted, where, maps.grid.shape)
-    group = Group(where, precision)
+        sizes["height"] = maps.grid.shape[2]
+    if config.network.targets:
+        sizes["channels"] = maps.channels()
+    config = replace(config, network=replace(config.network, **sizes))
+    precision = config.precision
+    if precision == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
+        precision = RunFolder(out).settings()["precision"]
+    dtype = resolve_precision(precision, where, maps.grid.shape)
+    group = Group(where, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
+        course = Course(maps, config)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
-        settings = describe(maps, config, precision)
+        settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
         rehearse(network, config, checks, where)
@@ -113,7 +119,6 @@ def train(
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, group)
-        course = Course(maps, config)
         while steps := course.steps(progress):
             begin, done = time.monotonic() - progress.seconds, progress.step
             watcher.on_start(progress.epoch, len(steps) * course.batch, done * course.batch)
@@ -150,10 +155,10 @@ def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progre
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
         return
-    found = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
+    figures = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
     names = "; ".join(maps.name(index) for index, _ in batch) or "that of validation"
     raise TrainingError(
-        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {found}; "
+        f"training diverged in epoch {progress.epoch + 1}, step {progress.step + 1}: {figures}; "
         f"lower --lr, or look at the batch: {names}"
     )
 
@@ -169,13 +174,13 @@ class Step:
     group: Group
 
     def __post_init__(self) -> None:
-        self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
-        model = self.network
+        targets: Any = self.network.targets
+        self._loss = loss_of(self.config.loss, self.grid, self.group.divisor, targets)
+        self._own = hasattr(self.network, "training_step")
+        model = OwnStep(self.network) if self._own else self.network
         if self.group.size > 1:
-            if self.group.device.type == "cuda":
+            if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
-            else:
-                SharedNorm.within(model)
             own = is_own(self.config.network.variant)  # and may have weights that it does not use
             model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
@@ -184,8 +189,7 @@ class Step:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
-        Raises TrainingError where memory runs out, which says what would fit, or torch cannot
-        compile.
+        Raises TrainingError where memory runs out, or torch cannot compile.
         """
         for parameters in self.optimizer.param_groups:
             parameters["lr"] = rate
@@ -193,12 +197,13 @@ class Step:
             return self.group.mean(self._learn(batch))
         except (RuntimeError, MemoryError) as error:
             if is_out_of_memory(error):
-                told = self._too_large(batch)
+                maps = len(batch["occupancy"]) * self.group.size
+                message = f"out of memory: a batch of {maps} does not fit; give a smaller --batch"
             elif type(error).__module__.startswith("torch._"):  # what `--compile` calls
-                told = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
+                message = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
             else:
                 raise
-        raise TrainingError(told)
+            raise TrainingError(message) from None
 
     def _learn(self, batch: Batch) -> Scalars:
         batch = {
@@ -206,38 +211,33 @@ class Step:
         }
         self.optimizer.zero_grad()
         with autocast(self.group.device, self.group.precision):
-            output = Output(*self._model(batch))
-        losses = self._loss(output, batch)
+            given = self._model(batch)
+        losses = summed(given) if self._own else self._loss(Output(*given), batch)
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
 
-    def _too_large(self, batch: Batch) -> str:
-        """Which batch would fit, found by trying."""
-        processes, maps = self.group.size, len(batch["occupancy"])
-        said = f"out of memory: a batch of {maps * processes} does not fit"
-        if processes > 1:  # trying would wait for the others, who are not trying
-            return f"{said}; give a smaller --batch"
-        fits = maps // 2
-        while fits:
-            try:
-                self.optimizer.zero_grad()
-                if self.group.device.type == "cuda":
-                    torch.cuda.empty_cache()
-                self._learn({name: values[:fits] for name, values in batch.items()})
-                return f"{said}; --batch {fits * processes} does"
-            except (RuntimeError, MemoryError):
-                fits //= 2
-        return f"{said}, nor does one map: use a machine with more memory, or a smaller grid"
+
+class OwnStep(nn.Module):
+    """The `training_step` of a user's own network as a forward pass, which several processes
+    share."""
+
+    def __init__(self, network: Any):
+        super().__init__()
+        self.network = network
+
+    def forward(self, batch: Batch) -> Any:
+        """The losses of a batch."""
+        return self.network.training_step(batch)
 
 
 class Muon(torch.optim.AdamW):
     """Filters of convolutions by Muon (Jordan et al. 2024), everything else by AdamW.
 
     A step moves filters along their momentum, made orthogonal. It is three times as long as AdamW's
-    would be (once in Liu et al. 2025), which is better from random weights (docs/log.md).
+    would be (once in Liu et al. 2025), which is better from random weights (docs/log).
     """
 
     MOMENTUM = 0.95
@@ -254,8 +254,8 @@ class Muon(torch.optim.AdamW):
                 state = self.state[filters]
                 if not state:  # "step" is what AdamW looks for when it is copied
                     state.update(step=torch.zeros(()), momentum=torch.zeros_like(filters))
-                kept = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
-                rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
+                momentum = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
+                rows = filters.grad.lerp(momentum, self.MOMENTUM).flatten(1)
                 size = 0.6 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
                 filters.sub_(self._orthogonal(rows).view(filters.shape), alpha=group["lr"] * size)
@@ -278,11 +278,13 @@ def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
     """The optimiser of the configuration; weight decay is for what multiplies features, and for
     vectors only where the configuration says so."""
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
-    for one in network.parameters():
-        groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)
-    given = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
+    for parameter in network.parameters():
+        groups[config.weight_decay if config.decay_all or parameter.ndim > 1 else 0.0].append(
+            parameter
+        )
+    options = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
     kind = torch.optim.AdamW if config.optimizer == "adamw" else Muon
-    return kind(given, lr=config.lr)
+    return kind(options, lr=config.lr)
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:
@@ -329,42 +331,50 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
     first, *others = [
         {"lidar": sensor_entry(lidar)}
         | ({"noise": sorted(noises)} if any(noises) else {})
-        | ({} if (entry := mapping_entry(mapping)) is None else {"mapping": entry})
+        | ({} if mapping.plain else {"mapping": mapping_entry(mapping)})
         for (lidar, mapping), noises in ways.items()
     ]
     return about | first | ({"also": others} if others else {})
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:
-    """Raise TrainingError where a network or a loss of a user's own does not say of one map what it
-    should; what comes with scenegen is not tried."""
+    """Raise TrainingError where a network, a target or a loss of a user's own does not say of one
+    map what it should; what comes with scenegen is not tried."""
     variant, objective = config.network.variant, config.loss.objective
-    if not (is_own(variant) or is_own(objective)):
+    if not (is_own(variant) or is_own(objective) or config.network.targets):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    output = network.eval()(batch)
-    parts = output if isinstance(output, tuple) else (output,)
-    given = [getattr(part, "shape", part) for part in parts]
-    shape = (1, *maps.grid.shape)
-    wanted = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
-    if given != wanted or (wanted[1] and parts[1].min() < 0):
+    raw = network.eval()(batch)
+    output = Output(*raw) if isinstance(raw, tuple) and len(raw) in (2, 3) else Output(raw, None)
+    shapes = {name: getattr(values, "shape", values) for name, values in output.by_target.items()}
+    expected = {}
+    for name in network.targets:
+        channels = config.network.channels_of(name)
+        expected[name] = (1, *[channels] * (channels > 1), *maps.grid.shape)
+    if shapes != expected or (output.tudf is not None and output.tudf.min() < 0):
         raise TrainingError(
-            f"variant {variant}: gives {given!r:.200}, expected {wanted}, by its `tasks`, and no "
-            "negative distance"
+            f"variant {variant}: gives {shapes!r:.200}, expected {expected}, by its `tasks`, and "
+            "no negative distance"
         )
+    if not shapes.keys() & BUILT_IN.keys():
+        raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
+    with torch.no_grad(), raised_as(TrainingError, of=PredictionError):
+        predicted = Prediction.of(output.predictions(network.targets, maps.grid))
+        check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():
         if value.dtype not in DTYPES:
             raise TrainingError(
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
-    terms = loss_of(config.loss, maps.grid)(Output(*output), batch)
-    for name, value in terms.items():
+    terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
+    steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
+    for name, value in [*terms.items(), *steps.items()]:
         if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, *RESERVED}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"
             )
-    if not terms["loss"].requires_grad:
+    if not (steps or terms)["loss"].requires_grad:
         raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
     if config.choose not in (*terms, "last"):
         raise TrainingError(
@@ -375,10 +385,10 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
 def begin_from(weights: str | Path, network: Any) -> str:
     """Give `network` the weights of another one, and return their file's SHA-256. Raises
     CheckpointError where that is another network."""
-    found = open_network(weights)[0]
-    if found.config != network.config:
-        there, asked = (asdict(one.config) for one in (found, network))
+    source = open_network(weights)[0]
+    if source.config != network.config:
+        there, asked = (asdict(one.config) for one in (source, network))
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
-    network.load_state_dict(found.state_dict())
+    network.load_state_dict(source.state_dict())
     return file_sha256(locate(weights))

@@ -15,12 +15,18 @@ import torch
 from torch import nn
 
 from lidarsim import GridSpec
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.parts import plain
-from scenegen.errors import DatasetError, printable
-from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
-from scenegen.limits import MOST_HEADER_BYTES
-from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
+from scenegen.base.errors import DatasetError, printable
+from scenegen.base.files import Json, disk_told, remove_drafts, write_whole
+from scenegen.base.limits import MOST_HEADER_BYTES
+from scenegen.base.reading import read_bounded
+from scenegen.dataset.parameters import differences, plain
+from scenegen.model.checkpoint import (
+    CheckpointError,
+    current_settings,
+    load_tensors,
+    save_network,
+    save_tensors,
+)
 from scenegen.model.training.card import Scalars, card, draw, read_rows
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
@@ -84,7 +90,7 @@ class RunFolder:
     def __init__(self, path: Path, *, writes: bool = True):
         self.path, self._writes = path, writes
         self._lock: int | None = None
-        self._saved = self._drawn = time.monotonic()
+        self._saved = time.monotonic()
         self._learns: tuple[nn.Module, torch.optim.Optimizer]
 
     def open(self, settings: Json) -> None:
@@ -108,7 +114,11 @@ class RunFolder:
         remove_drafts(self.path)
         config = self.path / CONFIG
         if config.exists():
-            check_settings(self.path, self.settings(), plain(settings["settings"]))
+            if unlike := differences(self.settings(), plain(settings["settings"])):
+                raise DatasetError(
+                    f"{self.path}: was begun with other settings "
+                    f"({printable('; '.join(unlike))[:1000]}); give those, or another --out"
+                )
             return
         if odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
@@ -122,7 +132,9 @@ class RunFolder:
     def settings(self) -> Json:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
+            content = read_bounded(self.path / CONFIG, MOST_HEADER_BYTES)
+            settings = dict(json.loads(content)["settings"])
+            return settings | {"network": current_settings(settings["network"])}
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another "
@@ -134,9 +146,9 @@ class RunFolder:
         if not self._writes:
             return
         network, optimizer = self._learns
-        state = {f"network/{one}": tensor for one, tensor in network.state_dict().items()} | {
-            f"optimizer/{one}/{key}": value
-            for one, parameter in network.named_parameters()
+        state = {f"network/{name}": tensor for name, tensor in network.state_dict().items()} | {
+            f"optimizer/{name}/{key}": value
+            for name, parameter in network.named_parameters()
             for key, value in optimizer.state.get(parameter, {}).items()
         }
         save_tensors(self.path / LAST, state, asdict(progress))
@@ -158,14 +170,11 @@ class RunFolder:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
         rows, by = progress.rows, f"val_{choose}"
         if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
-            told = {**about, "figures": rows[-1]}
-            save_network(self.path / BEST, network, grid, told)
-            write_whole(self.path / CARD, card(self.path.name, told).encode())
+            header = {**about, "figures": rows[-1]}
+            save_network(self.path / BEST, network, grid, header)
+            write_whole(self.path / CARD, card(self.path.name, header).encode())
         self.write_rows(rows)
         self.save(progress)
-        if time.monotonic() - self._drawn > SAVE_EVERY_S:  # which takes as long as some maps
-            self.draw_rows(rows)
-            self._drawn = time.monotonic()
 
     def best(self) -> Scalars | None:
         """The figures of the network that the run keeps; None before there is one."""
@@ -216,25 +225,15 @@ class RunFolder:
                 writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
 
     def draw_rows(self, rows: list[Scalars]) -> None:
-        """Draw the figures that `write_rows` wrote, where matplotlib is installed and they are not
-        drawn yet."""
+        """Draw the figures that `write_rows` wrote, if matplotlib is installed and they are not
+        drawn yet: `scenegen render` draws those of a run that has not ended."""
         files = self.path / CURVE, self.path / ROWS
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
         if drawn < written and self._writes:
             with suppress(ImportError):
-                from scenegen.display.panels import to_bytes
+                from scenegen.view.panels import to_bytes
 
                 write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
-
-
-def check_settings(path: Path, there: Json, asked: Json) -> None:
-    """Raise DatasetError where what is at `path` was begun with other settings than `asked`."""
-    usual = {"optimizer": "adamw"}  # in 0.2.0 there was no other
-    if unlike := differences(usual | there, usual | asked):
-        raise DatasetError(
-            f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
-            "those, or another --out"
-        )
 
 
 FACTS = (

@@ -1,7 +1,9 @@
-"""The command line of datasets, worlds and sensors; that of networks is in `scenegen.model`.
+"""The command line.
 
-`scenegen.__main__` lists the commands. `command` runs a command by name and turns its end into a
-line and an exit code, `stops` answers Ctrl-C. A command takes its options from `options`, their
-types from `types`, and prints through `show`. The other files hold a command or a few that belong
-together.
+`scenegen.__main__` lists the commands. `command` runs a command by its name and turns errors into
+one line and an exit code; `stops` handles Ctrl-C. Commands take options from `options`, with types
+from `types`, and print by `show`. Each other file has one command, or a few related ones.
+
+The docstring of a command is its help page, up to a form feed; what follows is for readers of the
+code.
 """

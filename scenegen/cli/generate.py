@@ -1,6 +1,7 @@
-"""`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
-dataset."""
+"""`scenegen generate` makes a plan from its options, and a dataset from the plan; `recipe` prints a
+preset."""
 
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,9 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from lidarsim.registry import Registry
+from scenegen.base.errors import AskedError, raised_as
+from scenegen.base.limits import USUAL_IN_SHARD
+from scenegen.base.paths import WORLD_FILES
 from scenegen.cli.options import (
     command,
     difficulty_option,
@@ -23,7 +27,6 @@ from scenegen.cli.options import (
     options_of,
     out_option,
     printing,
-    seed_option,
     without,
     workers_option,
 )
@@ -39,27 +42,41 @@ from scenegen.cli.show import (
     seconds_taken,
     show_table,
 )
-from scenegen.cli.types import FILE, Choice, Named, Written, read_range
-from scenegen.errors import AskedError, raised_as
-from scenegen.limits import USUAL_IN_SHARD
-from scenegen.recipes import KINDS
-from scenegen.worlds import WORLD_FILES
+from scenegen.cli.types import FILE, Choice, DatasetPath, Named, Written, read_range
+from scenegen.draw.parts import PARTS
+from scenegen.worlds.kinds import KINDS
 from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
-    from scenegen.dataset.state import Plan
+    from scenegen.dataset.build import Summary
+    from scenegen.dataset.generation import Plans
+    from scenegen.dataset.shard import ShardReport
 
 KIND = Named(
+    # mixed is not a kind, but a collection with a dataset of each
     Registry("kind", {**KINDS.builtin, "mixed": ""}),
     others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
+"""Type of --kind; files and recipes are refused with the option that takes them."""
 COUNT = click.IntRange(min=1)
-BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine, seed and sizes"
+"""Type of a number of samples."""
+RECIPE_NOTE = "this as a recipe file, without --scene, --compact, --engine, seed and sizes"
+"""Heading of the recipe that --dry-run prints."""
+
+
+def part_options(function: Any) -> Any:
+    """Add an option for each optional part of samples."""
+    # reversed: the option of the last decorator is listed first
+    for name, part in [*PARTS.items()][::-1]:
+        kind: Any = {"type": Choice(list(part.choices))} if part.choices else {"is_flag": True}
+        function = click.option(f"--{name}", help=part.help, **kind)(function)
+    return function
 
 
 @command(
     "generate --kind pillar -n 100",
     "generate --scene scenes/forest.xml --lidar ouster-os1-128 --noise datasheet -n 50",
+    "generate --like data/pillar --lidar livox-mid-360 -o data/livox",
     "generate --kind geometric --seed 7 --dry-run",
 )
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
@@ -77,55 +94,61 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
 @click.option(
     "--recipe",
     type=FILE,
-    help="TOML file with what differs from the preset.",
+    help="TOML file with the parameters that differ from the preset.",
 )
 @click.option(
     "--allow-unseen",
     is_flag=True,
-    help="Take scenes with geoms that rays cannot see; leave these out.",
+    help="Allow scenes with geoms that rays cannot see; these are left out.",
 )
 @click.option(
-    "--labels",
-    type=Choice(["class", "name", "material", "group"]),
-    help="Store the geom and the class of every return and voxel: the kinds' own classes, or by "
-    "names, materials or groups of geoms.",
+    "--like",
+    type=DatasetPath(),
+    metavar="DATASET",
+    help="A dataset, or its dataset.json: make it again, or scan its worlds from the same poses "
+    "with another --lidar, --noise, --engine or map.",
 )
+@part_options
 @lidar_option("the recipe's")
 @noise_option
 @mapping_options()
 @options_of(
     Mapper,
-    tilt_mps="Speed, metres a second, at which the body leans as a quadrotor; 0 for a level body.",
+    tilt_mps="Speed, metres a second, of a quadrotor that leans as it flies; 0 for a level body.",
 )
 @engine_option(
-    f"What casts the rays: {', '.join(ENGINES.builtin)}, or MODULE:CLASS.", default=DEFAULT
+    f"Engine that casts rays: {', '.join(ENGINES.builtin)}, or MODULE:CLASS.  [default: {DEFAULT}]"
 )
-@click.option("-n", "--n", type=COUNT, default=2500, help="Training samples.")
+@click.option("-n", "--n", type=COUNT, help="Training samples.  [default: 2500]")
 @click.option(
     "--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]"
 )
 @click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth]")
-@click.option("--shard-samples", type=COUNT, default=USUAL_IN_SHARD, help="Samples in a file.")
+@click.option(
+    "--shard-samples", type=COUNT, help=f"Samples in a file.  [default: {USUAL_IN_SHARD}]"
+)
 @click.option(
     "--split-range",
     type=Written(read_range, "FIRST:STOP"),
-    help="Only these shards, for a cluster; --dry-run counts them.",
+    help="Only these shards, for a cluster; --dry-run prints how many there are.",
 )
 @click.option(
     "--compact",
     is_flag=True,
-    help="Leave out what readers can derive: free space and distances.",
+    help="Leave out fields that readers can derive: free space and distances.",
 )
-@seed_option("The same seed, the same dataset.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    help="Seed; the same one gives the same dataset.  [default: 0]",
+)
 @out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", stores=True)
 @force_option
-@click.option(
-    "--dry-run", is_flag=True, help="Print the recipe that would be used, and make nothing."
-)
+@click.option("--dry-run", is_flag=True, help="Print the plan and its recipe, and make nothing.")
 @workers_option
 @on_option
 @printing
-@group("Worlds", "kind difficulty scene recipe allow-unseen labels")
+@group("Worlds", f"kind difficulty scene recipe like allow-unseen {' '.join(PARTS)}")
 @group("Size and files", "n val test shard-samples split-range compact")
 def generate(
     named: str | None,
@@ -136,35 +159,44 @@ def generate(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
-    it was."""
+    """Make a dataset: worlds, flights, scans and truth. The same command continues a stopped run.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such kind, file or sensor; the folder holds something else; or
+            samples cannot be drawn.
+    """
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
-        announce_compilation()
+        announce_compilation()  # before imports that may take seconds
+    from scenegen.base.workers import keep_memory
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
-    from scenegen.run.workers import keep_memory
 
     keep_memory()
+    # errors of the plan are errors of the options: exit code 2
     with raised_as(click.UsageError, of=AskedError):
-        plan = plan_generation(
+        plans = plan_generation(
             mapping=mapping_given(options),
-            tell=note if talk else lambda line: None,
+            report=note if talk else lambda line: None,
             **without(Mapper, options),
         )
-    if shards and shards[1] > len(plan.shards):
-        raise click.UsageError(
-            f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"
-        )
+    # a collection has a dataset for each kind, and so no common numbers of shards
+    if shards and plans.is_collection:
+        raise click.UsageError("--split-range: is for one dataset; use --on rank for several")
+    if shards and shards[1] > (count := len(plans.datasets[0].shards)):
+        raise click.UsageError(f"--split-range {shards[0]}:{shards[1]}: there are {count} shards")
     if dry_run:
-        State(plan, force=force)  # which refuses a folder that holds something else
-        _show_plan(plan, tell)
+        for plan in plans.datasets:
+            State(plan, force=force)  # refuses a folder that holds something else
+        _show_plans(plans, tell)
         return
     make(
-        plan,
+        plans,
         workers=workers,
         on=on,
         shards=shards,
@@ -174,26 +206,31 @@ def generate(
     )
 
 
-def _show_plan(plan: "Plan", tell: Tell) -> None:
-    """Prints what would be made, and the recipe file that says all of it."""
+def _show_plans(plans: "Plans", tell: Tell) -> None:
+    """Print the plans, and each as a recipe file."""
     rows = {
-        "folder": str(plan.folder),
-        "samples": plan.samples,
-        "shards": len(plan.shards),
-        "bytes_expected": plan.bytes_expected,
+        "folder": str(plans.folder),
+        "samples": sum(plan.samples for plan in plans.datasets),
+        "shards": sum(len(plan.shards) for plan in plans.datasets),
+        "bytes_expected": sum(plan.bytes_expected for plan in plans.datasets),
     }
-    if not tell(rows | {"parameters": plan.parameters}):
+    parameters = {plan.name: plan.manifest.parameters for plan in plans.datasets}
+    details: Any = {"datasets": parameters}
+    if not plans.is_collection:
+        details = {"parameters": plans.datasets[0].manifest.parameters}
+    if not tell(rows | details):
         return
-    from scenegen.share.regenerate import recipe_text
+    from scenegen.dataset.parameters import recipe_text
 
-    of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid", "sources")
-    others = {key: value for key, value in plan.parameters.items() if key not in of_recipe}
-    show_table(rows | flat(others), "would make")
-    say(f"\n{recipe_text(plan.parameters, BESIDE)}".rstrip())
+    show_table(rows, "would make")
+    for plan in plans.datasets:
+        rows_of_plan = flat({**plan.manifest.parameters, "recipe": None})
+        show_table({name: value for name, value in rows_of_plan.items() if value is not None}, "")
+        say(f"\n{recipe_text(plan.manifest.tables, RECIPE_NOTE)}".rstrip())
 
 
 def make(
-    plan: "Plan",
+    plans: "Plans",
     *,
     workers: int,
     on: str,
@@ -202,49 +239,73 @@ def make(
     talk: bool,
     shards: tuple[int, int] | None = None,
 ) -> None:
-    """Makes a planned dataset, with a bar, and prints what was made.
+    """Make planned datasets, with a bar for each, and print a summary.
 
     Args:
-        plan: What is made.
-        workers: Processes.
-        on: Where the work is done, as `scenegen.run.executor` takes it.
-        force: Replace another dataset in the folder.
-        tell: Prints the result as JSON, if that is asked for.
-        talk: Show a bar meanwhile.
-        shards: First of the shards that are made, and the one after the last; all unless given.
+        plans: The plans.
+        workers: Number of processes.
+        on: Name of the executor, see `scenegen.base.executors.executor`.
+        force: Whether to replace another dataset in the folder.
+        tell: Prints the result as JSON if the user wants that.
+        talk: Whether to print for people.
+        shards: First shard to make, and the one after the last; None for all.
     """
+    from scenegen.base.executors import executor
     from scenegen.dataset.build import build
-    from scenegen.run import executor
 
-    with Progress(plan.folder.name, shown=talk) as progress:
-        summary = build(
-            plan,
-            execute=executor(on, workers),
-            workers=workers,
-            shard_range=shards,
-            force=force,
-            on_start=progress.start,
-            on_shard=lambda report, fresh: progress.count(report.samples),
-        )
+    plans.open(force=force)  # refuses folders of something else before any of them is written
+    summaries = []
+    for plan in plans.datasets:
+        with Progress(plan.name, shown=talk) as progress:
+            summary = build(
+                plan,
+                execute=executor(on, workers),
+                workers=workers,
+                shard_range=shards,
+                force=force,
+                on_start=progress.start,
+                on_shard=partial(_count, progress),
+            )
+        summaries.append(summary)
     seconds = seconds_taken()
-    if not tell({**vars(summary), "folder": str(summary.folder), "seconds": seconds}):
-        return
+    rows = [{**vars(summary), "folder": str(summary.folder)} for summary in summaries]
+    if plans.is_collection:
+        row: Any = {"folder": str(plans.folder), "datasets": rows, "seconds": seconds}
+    else:
+        row = {**rows[0], "seconds": seconds}
+    if tell(row):
+        for summary in summaries:
+            _show_summary(summary, seconds, is_single=not plans.is_collection)
+        if plans.is_collection:
+            show_table({"collection": plans.folder, "time": f"{seconds:.1f} s"})
+
+
+def _count(progress: Progress, report: "ShardReport", fresh: bool) -> None:
+    """Count the samples of a shard that exists, whether this run or an earlier one wrote it."""
+    progress.count(report.entry.samples)
+
+
+def _show_summary(summary: "Summary", seconds: float, *, is_single: bool) -> None:
+    """Print a dataset; if it `is_single` and not of a collection, with time and next step."""
     samples, written = sum(summary.samples.values()), summary.samples_written
-    rate = f", {written / seconds:.1f} samples a second, imports included"
-    show_table(
-        {
-            "folder": summary.folder,
-            "samples": f"{samples}  ({per_split(summary.samples)})",
-            "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
-            "rejected": rejections(summary.rejected),
-            "size": f"{summary.bytes / 1e6:.1f} MB, "
-            f"{summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample",
-            "time": f"{seconds:.1f} s" + (rate if written else "; nothing was left to make"),
-            "digest": summary.digest
-            or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
-            "next": f"scenegen inspect {quote(str(summary.folder))}",
-        }
+    rows = {
+        "folder": summary.folder,
+        "samples": f"{samples}  ({per_split(summary.samples)})",
+        "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
+        "rejected": rejections(summary.rejected),
+        "size": f"{summary.bytes / 1e6:.1f} MB, "
+        f"{summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample",
+    }
+    if is_single:
+        rate = f", {written / seconds:.1f} samples a second, imports included"
+        rows["time"] = f"{seconds:.1f} s" + (rate if written else "; nothing was left to make")
+    rows["digest"] = (
+        summary.digest
+        or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing"
     )
+    if is_single:
+        rows["next"] = f"scenegen inspect {quote(str(summary.folder))}"
+    show_table(rows)
 
 
 @command("recipe pillar", "recipe rooms -o rooms.toml")
@@ -253,23 +314,27 @@ def make(
 @out_option("The file to write.  [default: standard output]", file=True)
 def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     """Print the preset of a kind of worlds as a recipe, every parameter with its value, for
-    `generate --recipe`."""
-    from lidarsim import Lidar
-    from scenegen.dataset import manifest
-    from scenegen.errors import RecipeError
-    from scenegen.files import write_result
-    from scenegen.recipe import preset
-    from scenegen.share.regenerate import recipe_text
-    from scenegen.source import DrawnWorlds
+    `generate --recipe`.
 
-    found = preset(kind, lidar=lidar)
-    if not isinstance(found.lidar, Lidar):
+    \f
+    Raises:
+        RecipeError: A recipe file cannot hold the sensor.
+    """
+    from lidarsim import Lidar
+    from scenegen.base.errors import RecipeError
+    from scenegen.base.files import write_result
+    from scenegen.dataset.build import recipe_entry
+    from scenegen.dataset.parameters import recipe_text
+    from scenegen.worlds.recipe import preset
+
+    chosen = preset(kind, lidar=lidar)
+    if not isinstance(chosen.lidar, Lidar):
         raise RecipeError(
-            f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"
+            f"--lidar {lidar}: is not a raster, and a recipe file holds no other sensor; give it "
+            "to generate"
         )
-    counts = {"train": 0, "val": 0, "test": 0}
-    given = manifest.parameters(found, DrawnWorlds(found), seed=0, counts=counts)
-    text = recipe_text(given, f"the preset of {kind}, version {found.version}; lengths are metres")
+    title = f"the preset of {kind}, version {chosen.version}; lengths are metres"
+    text = recipe_text(recipe_entry(chosen), title)
     if out is None:
         say(text.rstrip())
     else:

@@ -1,4 +1,4 @@
-"""Options of commands: those that several share, and those that are fields of a configuration."""
+"""Options of commands: options that several commands share, and options made from dataclasses."""
 
 import dataclasses
 import json
@@ -17,6 +17,8 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
+from scenegen.base.executors import EXECUTORS, LOCAL, cores, executor
+from scenegen.base.limits import MOST_WORKERS
 from scenegen.cli.types import (
     FILE,
     Choice,
@@ -28,19 +30,17 @@ from scenegen.cli.types import (
     OutputFolder,
     Written,
 )
-from scenegen.limits import MOST_WORKERS
-from scenegen.recipes import KINDS
-from scenegen.run import EXECUTORS, LOCAL, cores, executor
+from scenegen.worlds.kinds import KINDS
 from scenegen.worlds.mapping import Mapper
 
 if typing.TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
+    from scenegen.dataset.read import AnyDataset
 
 Decorator = Callable[[Any], Any]
-"""Makes of a function the same one with more options."""
+"""Adds options to a function."""
 
 UNITS = re.compile("(_m|_mps|_mps2|_deg_s)$")
-"""How the names of fields end that are options without it."""
+"""Unit at the end of a field's name, which its option lacks."""
 COMMON_GROUPS = {
     "Sensor and maps": "lidar noise scans scan-spacing fusion map-ahead tilt engine",
     "Options": "",
@@ -50,18 +50,26 @@ COMMON_GROUPS = {
 
 
 def group(name: str, options: str) -> Decorator:
-    """Groups options of a command, their names in one text, under `name` on its help page."""
+    """Group options of a command on its help page.
+
+    Args:
+        name: Heading of the group.
+        options: Names of the options without dashes, separated by spaces.
+    """
     return click.option_panel(name, options=[f"--{option}" for option in options.split()])
 
 
 def together(*options: Decorator) -> Decorator:
-    """Several options as one decorator, listed in this order."""
-    return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
+    """Join options to one decorator; the help page lists them in this order."""
+    # reversed: the option of the last decorator is listed first
+    return lambda function: reduce(
+        lambda decorated, option: option(decorated), reversed(options), function
+    )
 
 
 def command(*examples: str) -> Any:
-    """Makes a function a command whose help page shows defaults, has groups of options, and ends
-    with `examples`."""
+    """Make a function a command. Its help page shows defaults, groups of options, and at the end
+    `examples`."""
     lines = "\n\n".join(["Examples:", *(f"scenegen {example}" for example in examples)])
     named = click.command(context_settings={"show_default": True}, epilog=lines)
     # reversed: of decorators, the last is applied first
@@ -70,13 +78,13 @@ def command(*examples: str) -> Any:
 
 
 WORLD = Named(KINDS, paths=True)
-"""A kind's name, or a file of a world."""
+"""Type of a kind's name, or a file of a world."""
 dataset_argument = click.argument("dataset", type=DatasetPath())
 datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 
 
 def workers_by(default: str) -> Decorator:
-    """--workers, all cores unless given; help pages show the text `default`."""
+    """Make the option --workers, whose default is all cores; help pages show `default` for it."""
     kind = click.IntRange(1, MOST_WORKERS)
     return click.option(
         "--workers", type=kind, default=cores, show_default=default, help="Processes."
@@ -98,100 +106,108 @@ quiet_option = click.option("--quiet", is_flag=True, help="Print errors only.")
 device_option = click.option(
     "--device",
     default="auto",
-    help="Where to compute: cpu, cuda, cuda:1 …",
+    help="Device to compute on: cpu, cuda, cuda:1 …",
 )
 columns_option = click.option(
     "--columns",
     type=click.IntRange(3, 64),
-    help="For clouds whose columns have no names (.bin, .npy, .npz): the numbers of a point, x y z "
-    "first.  [default: as the format has it, or by the numbers]",
+    help="For clouds whose columns have no names (.bin, .npy, .npz): how many numbers a point has, "
+    "x y z first.  [default: as the format has it, or by the numbers]",
 )
 difficulty_option = click.option(
     "--difficulty",
     type=Choice(["easy", "medium", "hard"]),
-    help="How hard a kind's worlds are.  [default: medium]",
+    help="Difficulty of a kind's worlds.  [default: medium]",
 )
 index_option = click.option(
     "--index",
     "indices",
     multiple=True,
     type=click.IntRange(0),
-    help="A sample's number; in a file, repeatable.",
+    help="Number of a sample in its split; repeatable for files.",
 )
 kind_option = click.option(
     "--kind",
     metavar="MODULE:CLASS",
-    help="The dataset's own kind, where it is not one of scenegen's: its module is imported to "
-    "draw worlds again.",
+    help="The dataset's kind, if it is a user's own: its module is imported to draw worlds again.",
 )
 
 
 def printing(function: Callable[..., Any]) -> Any:
-    """--json and --quiet, below all other options. The command is told by `talk` whether to print
-    for people, and says what came of it by `tell`."""
+    """Add --json and --quiet below all other options.
+
+    The command gets `talk`, whether to print for people, and `tell`, to call with its result; see
+    `scenegen.cli.show.Tell`.
+    """
 
     @json_option
     @quiet_option
     @wraps(function)
-    def command(*, as_json: bool, quiet: bool, **options: Any) -> Any:
+    def _with_printing(*, as_json: bool, quiet: bool, **options: Any) -> Any:
         talk = not (as_json or quiet)
 
         def tell(row: Any) -> bool:
             if as_json:
+                # a result that takes time to make is a function
                 print(json.dumps(row() if callable(row) else row))
             return talk
 
         return function(tell=tell, talk=talk, **options)
 
-    return command
+    return _with_printing
 
 
 def log_options(function: Callable[..., Any]) -> Any:
-    """--poses, --poses-of, --topic and --fixed-frame. The command gets them as `log_reading`, the
+    """Add --poses, --poses-of, --topic and --fixed-frame. The command gets them as `log_reading`,
     arguments of `scenegen.logs.read.read_log`."""
 
     @click.option(
         "--poses",
         type=FILE,
-        help="The poses of a log, as matrices of KITTI's, or as columns of TUM's, EuRoC's, or CSV.",
+        help="File of the log's poses: KITTI's matrices, or columns of TUM, EuRoC, or CSV.",
     )
     @click.option(
         "--poses-of",
         type=Choice(["sensor", "camera"]),
-        help="What matrices are of: the sensor, or the camera, moved by Tr of calib.txt.  "
+        help="Whether matrices are poses of the sensor, or of the camera, with Tr in calib.txt.  "
         "[default: camera in KITTI's layout]",
     )
-    @click.option("--topic", help="The clouds of a recording that has several.")
+    @click.option("--topic", help="Topic of the clouds, if a recording has several.")
     @click.option(
-        "--fixed-frame", help="The frame of a recording that poses are in.  [default: the topmost]"
+        "--fixed-frame", help="Frame of a recording that poses are in.  [default: the topmost]"
     )
     @wraps(function)
-    def command(**options: Any) -> Any:
+    def _with_log_reading(**options: Any) -> Any:
         names = "poses", "poses_of", "topic", "fixed_frame"
         return function(log_reading={name: options.pop(name) for name in names}, **options)
 
-    return command
+    return _with_log_reading
 
 
 def executing(function: Callable[..., Any]) -> Any:
-    """--workers and --on. The command is given `execute`, which works there."""
+    """Add --workers and --on. The command gets their executor as `execute`."""
 
     @workers_option
     @on_option
     @wraps(function)
-    def command(*, workers: int, on: str, **options: Any) -> Any:
+    def _with_executor(*, workers: int, on: str, **options: Any) -> Any:
         return function(execute=executor(on, workers), **options)
 
-    return command
+    return _with_executor
 
 
 def split_option(default: str, help: str) -> Decorator:
-    """--split, one of a dataset's."""
+    """Make the option --split, one of a dataset's splits.
+
+    Args:
+        default: The default.
+        help: The help text.
+    """
     return click.option("--split", type=Choice(SPLITS), default=default, help=help)
 
 
 def splits_option(help: str) -> Decorator:
-    """--split, repeatable; the parameter is `splits`."""
+    """Make a repeatable option --split; its parameter is `splits`."""
     return click.option(
         "--split",
         "splits",
@@ -202,24 +218,31 @@ def splits_option(help: str) -> Decorator:
 
 
 def seed_option(help: str) -> Decorator:
-    """--seed of what is drawn."""
+    """Make the option --seed."""
     return click.option("--seed", type=click.IntRange(min=0), default=0, help=help)
 
 
 def out_option(
-    help: str, *ends: str, file: bool = False, stores: bool = False, **more: Any
+    help: str, *ends: str, file: bool = False, stores: bool = False, **settings: Any
 ) -> Decorator:
-    """-o: the folder, with `stores` also one in a store, or, with `file` or the `ends` of its name,
-    the file to write; the parameter is `out`."""
+    """Make the option -o for a file or folder to write; its parameter is `out`.
+
+    Args:
+        help: The help text.
+        ends: Suffixes that a file must have.
+        file: Whether it is a file of any suffix; a folder without this and `ends`.
+        stores: Whether a folder may be in a store.
+        settings: Further arguments of `click.option`.
+    """
     file = file or bool(ends)
     kind = OutputFile(*ends) if file else OutputFolder(stores=stores)
     names = ("--output", "--out") if file else ("--out", "--output")
-    return click.option("-o", *names, "out", type=kind, help=help, **more)
+    return click.option("-o", *names, "out", type=kind, help=help, **settings)
 
 
 def lidar_option(default: str) -> Decorator:
-    """--lidar, or --sensor: a sensor's name, a TOML file of one, or module:Object; the parameter is
-    `lidar`."""
+    """Make the option --lidar, or --sensor; its parameter is `lidar`, a text for `named_lidar`.
+    Help pages show `default`."""
     return click.option(
         *("--lidar", "--sensor", "lidar"),
         type=Named(SENSORS, file=".toml"),
@@ -228,46 +251,50 @@ def lidar_option(default: str) -> Decorator:
     )
 
 
-def engine_option(help: str, **more: Any) -> Decorator:
-    """--engine, by name or as MODULE:CLASS."""
-    return click.option("--engine", type=Named(ENGINES), help=help, **more)
+def engine_option(help: str, **settings: Any) -> Decorator:
+    """Make the option --engine.
+
+    Args:
+        help: The help text.
+        settings: Further arguments of `click.option`.
+    """
+    return click.option("--engine", type=Named(ENGINES), help=help, **settings)
 
 
-def _noise(given: str) -> str:
-    """The text as it is, if each of its stages can be read; the chain is made once the sensor is
-    known."""
+def _noise(text: str) -> str:
+    """Check that each stage of a noise can be parsed, and return the text. The chain is made later,
+    when the sensor is known."""
     from lidarsim.noise.chain import DATASHEET, Noise
 
-    for stage in given.split(","):
+    for stage in text.split(","):
         if stage.strip() != DATASHEET:
             Noise.parse(stage)
-    return given
+    return text
 
 
 noise_option = click.option(
     "--noise",
     type=Written(_noise, "STAGE:VALUE…,…"),
-    help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes "
-    "with.  [default: none]",
+    help="Noise of the sensor, such as range:0.02,dropout:0.05; or datasheet for the noise in its "
+    "data sheet.  [default: none]",
 )
 
 
 def mapping_options(default: str | None = None) -> Decorator:
-    """Options of how maps are made, of commands that draw or scan again; for `default` see
-    `options_of`."""
+    """Make the options of how scans become a map; for `default` see `options_of`."""
     return options_of(
         Mapper,
         default=default,
-        scans="Scans that make a map: the sample's own, and those before it on the flight.",
-        scan_spacing_m="Metres flown from scan to scan.",
+        scans="Number of scans in a map: the sample's own, and those before it on the flight.",
+        scan_spacing_m="Distance flown between scans, metres.",
         fusion="How several scans make one map.",
-        map_ahead_m="Where the map's middle lies from the sensor: metres forward, to the left, "
+        map_ahead_m="Position of the map's centre from the sensor: metres forward, to the left, "
         "and up.",
     )
 
 
 def mapping_given(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of `options` that the user gave and that say how maps are made."""
+    """Return the options of `mapping_options` that the user gave."""
     return {name: value for name, value in taken(Mapper, options).items() if was_given(name)}
 
 
@@ -278,40 +305,41 @@ def options_of(
     default: str | None = None,
     **helps: str,
 ) -> Decorator:
-    """Makes an option of each field of a dataclass that `helps` names.
+    """Make an option of each field of a dataclass that `helps` names.
 
-    Its default, type, choices and bounds are the field's; so is its name, after `prefix` and
-    without a unit: `beta_m` becomes --beta. Several numbers are given with commas between.
+    Default, type, choices and bounds are those of the field. The option's name is `prefix` and the
+    field's name without its unit: `beta_m` becomes --beta. Tuples are numbers separated by commas.
 
     Args:
         config: The dataclass.
-        prefix: What the options' names begin with.
-        default: Shown where an option that is not given has another effect than the field's
-            default.
-        helps: The options' texts by the fields' names.
+        prefix: Begin of the options' names.
+        default: Text to show as the default, if an omitted option means something else than the
+            field's default.
+        helps: Help texts by the fields' names.
     """
-    kinds = typing.get_type_hints(config)
+    kinds = typing.get_type_hints(config)  # annotations may be texts
     fields = {item.name: item for item in dataclasses.fields(config)}
     options = []
     for name, text in helps.items():
         flag = "--" + prefix + UNITS.sub("", name).replace("_", "-")
-        more = _settings(kinds[name], fields[name], flag)
-        more |= {"show_default": default} if default else {}
-        options.append(click.option(more.pop("flag", flag), name, help=text, **more))
+        settings = _settings(kinds[name], fields[name], flag)
+        settings |= {"show_default": default} if default else {}
+        options.append(click.option(settings.pop("flag", flag), name, help=text, **settings))
     return together(*options)
 
 
 def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
-    """What click is told of an option that is a dataclass's field."""
+    """Return the arguments of `click.option` for a field of a dataclass."""
     default = field.default
-    if kind is bool:
-        both = {"flag": f"{flag}/--no-{flag[2:]}"} if default else {}
-        return {**both, "is_flag": True, "default": default}
+    if kind is bool:  # a field that is true by default needs a flag to switch it off
+        names = {"flag": f"{flag}/--no-{flag[2:]}"} if default else {}
+        return {**names, "is_flag": True, "default": default}
     if typing.get_origin(kind) is Literal:
         words = {str(choice): choice for choice in typing.get_args(kind)}
         return {
             "type": Choice(list(words)),
             "default": str(default),
+            # choices are texts; the field may have numbers
             "callback": lambda ctx, parameter, value: words[value],
         }
     bounds = field.metadata.get(BOUNDS, Bounds())
@@ -319,64 +347,89 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
         return {"type": Number(bounds), "default": default}
     if typing.get_origin(kind) is tuple:
         return {"type": Numbers(name="X,Y,Z"), "default": default}
-    least, most = (
-        None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)
-    )
-    return {"type": click.IntRange(least, most), "default": default}
+    low, high = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
+    return {"type": click.IntRange(low, high), "default": default}
 
 
 def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of `options` that are fields of the dataclass `config`."""
+    """Return the options that are fields of a dataclass.
+
+    Args:
+        config: The dataclass.
+        options: Values by name.
+    """
     return {
         item.name: options[item.name] for item in dataclasses.fields(config) if item.name in options
     }
 
 
 def without(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of `options` that are no fields of the dataclass `config`."""
+    """Return the options that are not fields of a dataclass.
+
+    Args:
+        config: The dataclass.
+        options: Values by name.
+    """
     return {name: options[name] for name in options.keys() - taken(config, options)}
 
 
 def was_given(name: str) -> bool:
-    """Whether the user gave the current command's parameter `name`, by whatever means."""
+    """Whether the user gave a parameter of the current command, rather than its default."""
     return bool(flags_given([name]))
 
 
 def flags_given(names: Collection[str]) -> list[str]:
-    """Those of the current command's parameters `names` that the user gave, as they are typed."""
+    """Return those parameters among `names` that the user gave to the current command, as flags
+    such as --host."""
     context: Any = click.get_current_context()
     source = context.get_parameter_source
     return [
-        one.opts[0]
-        for one in context.command.params
-        if one.name in names and source(one.name) is not ParameterSource.DEFAULT
+        option.opts[0]
+        for option in context.command.params
+        if option.name in names and source(option.name) is not ParameterSource.DEFAULT
     ]
 
 
-def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "Dataset":
-    """The dataset named, fetched where it is not here; with `shown`, a download has a bar. Without
-    `partial`, it must be complete."""
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.read import Dataset
+def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "AnyDataset":
+    """Open a dataset, collection or selection, and download it if needed.
 
-    return Dataset(locate(dataset, shown=shown), partial=partial)
+    Args:
+        dataset: Path or name.
+        shown: Whether a download shows a bar.
+        partial: Whether an incomplete dataset is allowed.
+
+    Raises:
+        DatasetError: There is no such dataset, or it is damaged.
+    """
+    from scenegen.dataset.collection import open_data
+
+    return open_data(dataset, partial=partial, shown=shown)
 
 
-def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Path, ...]:
-    """The folders of the datasets named, or those under data/ that hold samples. Raises UsageError
-    for none."""
+def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[AnyDataset, ...]":
+    """Open datasets, by default those under data/ that have samples.
+
+    Args:
+        datasets: Paths or names.
+        shown: Whether a download shows a bar, and empty datasets a note.
+
+    Raises:
+        UsageError: No dataset is given, and data/ has none.
+        DatasetError: One does not exist, or is damaged.
+    """
     from scenegen.cli.show import note
-    from scenegen.dataset.locate import locate
-    from scenegen.dataset.trust import load
+    from scenegen.dataset.collection import open_data
 
-    found = [locate(dataset, shown=shown) for dataset in datasets]
-    for path in () if found else sorted(Path("data").glob("*/dataset.json")):
-        if load(path.parent).shards:
-            found.append(path.parent)
+    opened = [open_data(dataset, shown=shown) for dataset in datasets]
+    # datasets found here may be empty, and are left out; an incomplete one is refused, as usual
+    for path in () if opened else sorted(Path("data").glob("*/dataset.json")):
+        candidate = open_data(path.parent, partial=True)
+        if any(len(candidate.split(split)) for split in SPLITS):
+            opened.append(open_data(path.parent))
         elif shown:
             note(f"{path.parent}: holds no samples yet, so it is left out")
-    if not found:
+    if not opened:
         raise click.UsageError(
             "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"
         )
-    return tuple(found)
+    return tuple(opened)

@@ -1,5 +1,4 @@
-"""`scenegen sensors` and `scenegen scan`: the sensors that there are, and what one sees of a
-world."""
+"""`scenegen sensors` lists sensors; `scan` scans a world, once or along a flight."""
 
 import json
 import math
@@ -11,6 +10,7 @@ import rich_click as click
 
 from lidarsim.engines import EngineFactory
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
+from scenegen.base.paths import type_of
 from scenegen.cli.options import (
     WORLD,
     command,
@@ -27,19 +27,18 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_table
 from scenegen.cli.types import Named, Numbers
-from scenegen.display.exchange import Choices
+from scenegen.convert import Choices
 from scenegen.logs import Cruise
-from scenegen.worlds import CLOUDS, MAPS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
-    from scenegen.files import Json
+    from scenegen.base.files import Json
     from scenegen.worlds.world import AnyWorld
 
 
 class _Setup(NamedTuple):
-    """What is scanned, and by what."""
+    """A world, and all that a scan of it needs."""
 
     sensor: "Sensor"
     noise: "Noise"
@@ -54,30 +53,37 @@ HEADS = {
     "scan_s": "scan, s",
     "max_range_m": "m",
 }
-"""The columns of the list."""
+"""Columns of the list of sensors, by the facts that they show."""
 
 
 @command("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png")
 @click.argument(
     "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
 )
-@out_option("A picture (.png) of the patterns, azimuth × elevation, one below the other.", ".png")
+@out_option("Picture (.png) of the patterns of rays, azimuth × elevation.", ".png")
 @json_option
 def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
-    """List the sensors that there are, or tell of those named, and draw their patterns.
+    """List all sensors, or print facts of some; with -o, draw their patterns of rays.
 
-    Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
+    Use a name as `scenegen generate --lidar NAME`, or in a recipe as `[lidar] sensor = "NAME"`.
+
+    \f
+    Args:
+        names: Names of sensors; empty for all.
+        out: File of the picture, or None.
+        as_json: Print JSON.
     """
-    from scenegen.tables import named_lidar
+    from scenegen.worlds.tables import named_lidar
 
-    found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
-    rows = {name: _facts(sensor) for name, sensor in found.items()}
+    # without names, those of the catalogue, and the raster that recipes use by default
+    chosen = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
+    rows = {name: _facts(sensor) for name, sensor in chosen.items()}
     if out is not None:
-        from scenegen.display.panels import to_bytes
-        from scenegen.display.pictures import draw_patterns
-        from scenegen.files import write_result
+        from scenegen.base.files import write_result
+        from scenegen.view.panels import to_bytes
+        from scenegen.view.pictures import draw_patterns
 
-        write_result(out, to_bytes(draw_patterns(found), ".png"))
+        write_result(out, to_bytes(draw_patterns(chosen), ".png"))
     if as_json:
         print(json.dumps(rows))
     elif names:
@@ -86,13 +92,13 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
         show_columns(cells, list(HEADS.values()))
-        say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
+        say("\nscenegen sensors NAME prints the source of its figures; --out FILE draws it")
     if out is not None and not as_json:
         say(f"written: {out}")
 
 
 def _facts(sensor: "Sensor") -> "Json":
-    """What is to be said of a sensor, as plain JSON values; angles are measured on its rays."""
+    """Return facts of a sensor as plain JSON values; angles are measured on its rays."""
     import numpy as np
 
     from lidarsim.sensors.device import angles_deg
@@ -114,10 +120,10 @@ def _facts(sensor: "Sensor") -> "Json":
 
 
 def _cell(value: Any) -> str:
-    """A figure for the list: 16 × 1808, or -15 … 15."""
+    """Format a fact for the list: 16 × 1808, or -15 … 15."""
     if not isinstance(value, list):
         return f"{value:g}"
-    return (" … " if isinstance(value[0], float) else " × ").join(f"{one:g}" for one in value)
+    return (" … " if isinstance(value[0], float) else " × ").join(f"{number:g}" for number in value)
 
 
 @command(
@@ -130,31 +136,31 @@ def _cell(value: Any) -> str:
 @click.option(
     "--pose",
     type=Numbers(name="X,Y,Z,YAW"),
-    help="Where the body is, metres, and its yaw, degrees.",
+    help="Position of the body, metres, and its yaw, degrees.",
 )
-@click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
+@click.option("--flight", is_flag=True, help="Scan from a pose of a random flight instead.")
 @click.option(
     "--sequence",
     is_flag=True,
-    help="With --flight: a log, scans at the sensor's rate along a long flight, into a folder as "
-    "KITTI's odometry has them, or an .mcap file for ROS 2.",
+    help="With --flight: write a log, which has scans at the sensor's rate along a long flight: a "
+    "folder in the layout of KITTI's odometry, or an .mcap file for ROS 2.",
 )
 @options_of(
     Cruise,
-    length_m="With --sequence: metres flown.",
-    speed_mps="Metres a second.",
-    acceleration_mps2="Metres a second squared.",
-    yaw_rate_deg_s="Degrees a second, at most.",
+    length_m="With --sequence: length of the flight, metres.",
+    speed_mps="Speed, metres a second.",
+    acceleration_mps2="Maximum acceleration, metres a second squared.",
+    yaw_rate_deg_s="Maximum yaw rate, degrees a second.",
 )
 @click.option(
     "--moving",
     is_flag=True,
-    help="With --sequence: cast each ray from where the sensor is at its time. A folder has the "
-    "points corrected for that, as KITTI's are, an .mcap file has them raw.",
+    help="With --sequence: cast each ray from where the sensor is at its time. Points of a folder "
+    "are corrected for that, as KITTI's; those of an .mcap file are raw.",
 )
 @lidar_option("raster")
 @noise_option
-@engine_option("What casts the rays.", default="analytic")
+@engine_option("Engine that casts rays.", default="analytic")
 @options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
 @seed_option("Seed of the noise and the flight.")
 @out_option(
@@ -182,22 +188,29 @@ def scan(
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
 
-    Or a mesh, or a map of a real place (.bt, .ot, .npz), where rays that cross unknown space are
+    Or scan a mesh; a map of a real place (.bt, .ot, .npz), where rays through unknown space are
     counted; or a world of a kind, drawn by the seed.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such world or sensor, no flight fits, or the file cannot be
+            written.
     """
+    # all that options can contradict is checked before anything is imported or drawn
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
     if sequence and (not flight or was_given("frame")):
         raise click.UsageError("--sequence goes with --flight, and without --frame")
     if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
-    if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
+    if type_of(world) in ("map", "scan", "plan") and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
+    from scenegen.base.files import check_ours
     from scenegen.dataset.shard import find_engine
-    from scenegen.display.exchange.files import SUFFIXES
-    from scenegen.files import check_ours
-    from scenegen.source import named_world
-    from scenegen.tables import named_lidar, named_noise
+    from scenegen.draw.source import named_world
+    from scenegen.worlds.clouds.write import SUFFIXES
+    from scenegen.worlds.tables import named_lidar, named_noise
 
     out = out or Path("log" if sequence else "scan.ply")
     if not sequence and out.suffix not in SUFFIXES:
@@ -208,11 +221,11 @@ def scan(
     if sequence:
         facts = _write_log(out, setup, Cruise(**options), seed, moving, talk)
     else:
-        check_ours(out)
+        check_ours(out)  # scans may take minutes: refuse a user's own file before
         facts = _write_scan(out, setup, _pose(setup.world, pose, seed), seed, frame)
     row = {"file": str(out), "lidar": str(sensor), "noise": str(setup.noise) or "none", **facts}
     if tell(row):
-        left_out = ("file", "quaternion")
+        left_out = ("file", "quaternion")  # the file has a line of its own
         show_table({name: value for name, value in row.items() if name not in left_out})
         say(f"written: {out}")
 
@@ -220,15 +233,15 @@ def scan(
 def _write_log(
     out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, talk: bool
 ) -> "Json":
-    """Records a log, and gives what is to be said of it."""
-    from scenegen.files import check_free
-    from scenegen.logs.record import cruise_poses, period_s, record
-    from scenegen.logs.write import write_log
+    """Record a log; return facts of it."""
+    from scenegen.base.files import check_free
+    from scenegen.logs.record import cruise_poses, period_s, record, write_log
 
     check_free(out)
+    # KITTI's points are deskewed, while drivers of ROS publish them raw
     corrected = out.suffix != ".mcap"
     if not corrected:
-        import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
+        import mcap_ros2  # noqa: F401 (if it is missing, fail before a minute of scans)
     period = period_s(setup.sensor)
     poses = cruise_poses(setup.world, cruise, period, seed=seed)
     scans = record(
@@ -249,7 +262,7 @@ def _write_log(
 
 
 def _pose(world: "AnyWorld", pose: tuple[float, ...] | None, seed: int) -> "Pose":
-    """The pose given, or one in a random flight."""
+    """Return the pose that the user gave, or one of a random flight."""
     from lidarsim import Pose
     from scenegen.worlds.flight import pose_in_flight
 
@@ -259,26 +272,26 @@ def _pose(world: "AnyWorld", pose: tuple[float, ...] | None, seed: int) -> "Pose
 
 
 def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) -> "Json":
-    """Scans from a pose, writes the returns, and gives what is to be said of them."""
+    """Scan from a pose and write the returns; return facts of them."""
     import numpy as np
 
     from lidarsim import cast
     from lidarsim.scan import is_return, mounted
-    from scenegen.display.exchange.files import write_points
-    from scenegen.draw import scan_world
+    from scenegen.draw.draw import scan_world
+    from scenegen.worlds.clouds.write import write_points
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 
     sensor, noise, engine, world = setup
     seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine)
-    # the real sensor has no returns from nearer, with or without the noise stage that says so
+    # a real sensor has no returns below its minimum range, whatever noise the user chose
     near = np.isfinite(seen.ranges) & ~is_return(seen.ranges, getattr(sensor, "min_range_m", 0.0))
     seen = seen.but(ranges=np.where(near, np.inf, seen.ranges))
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)
     intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
-    about = {
+    header = {
         "ranges": seen.ranges,
         "times_s": sensor.times_s,
         "sensor_position": mounted(sensor, at).position,
@@ -288,7 +301,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
         "noise": str(noise),
         "frame": frame,
     }
-    write_points(file, points, intensity, about)
+    write_points(file, points, intensity, header)
     row = {
         "position": [round(float(value), 3) for value in at.position],
         "quaternion": at.quaternion.tolist(),
@@ -296,6 +309,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
         "returns": len(points),
         "returns_too_near": int(np.count_nonzero(near)),
     }
+    # rays through unknown space return as if it were free: their returns may be wrong
     if isinstance(world, Place):
         unknown_m = world.unknown_m(cast(world.caster(None), sensor, at))
         through = unknown_m > Known().most_unknown_m

@@ -1,29 +1,30 @@
-"""What a command prints: results on standard output, progress and notes on standard error. All that
-comes from files is escaped here."""
+"""Prints results of commands on standard output, and progress and notes on standard error. Control
+characters in texts from files are escaped here."""
 
 import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import rich_click as click
 
-from scenegen.errors import escaped, plural, printable
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.base.errors import escaped, plural, printable
+from scenegen.base.executors import undone_if_stopped
 
 ENDLESS = 1 << 30
-"""Columns of what is no terminal."""
+"""Columns of an output that is not a terminal."""
 BARS = "▁▂▃▄▅▆▇█"
-"""From low to high."""
-MOST_BARS = 60
-"""Bars of a curve."""
+"""Bars of a curve, from low to high."""
+MAX_BARS = 60
+"""Maximum number of bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
-"""Undoes what a progress bar does to a terminal."""
-
-
+"""Restores a terminal after a progress bar."""
+Tell = Callable[[Any], bool]
+"""Prints the result of a command as JSON if the user wants that, and returns whether to print it
+for people. Its argument is the result, or a function that makes it if that takes time."""
 REASONS = {
     "no_flight": "no collision-free flight",
     "few_solids": "too few solids near the flight",
@@ -37,29 +38,35 @@ REASONS = {
 
 
 def seconds_taken() -> float:
-    """How long the current command has taken so far, its imports included."""
+    """Return the time since the current command began, imports included."""
     context: Any = click.get_current_context()
     return time.perf_counter() - context.obj
 
 
 def say(text: object) -> None:
-    """Prints lines; control characters in them are escaped."""
+    """Print lines on standard output; control characters are escaped."""
     for line in str(text).split("\n"):
-        click.echo(escaped(line))
+        click.echo(escaped(line))  # a file's name could hold commands for the terminal
 
 
 def note(text: object) -> None:
-    """Says something beside the command's result."""
+    """Print a line on standard error, beside the command's result."""
     print(printable(text), file=sys.stderr)
 
 
 def show_table(
     rows: Mapping[str, Any], title: str = "", marks: Mapping[str, tuple[str, str]] | None = None
 ) -> None:
-    """Prints a line for each of `rows`, name and value; `marks` stand before the values, text and
-    colour by name."""
+    """Print a line for each row: name and value.
+
+    Args:
+        rows: Values by name.
+        title: Line above, or "".
+        marks: Text and colour of a mark before the value, by the row's name.
+    """
     if title:
         say(f"\n{escaped(title)}")
+    # widths are those of escaped texts, which are longer
     width = max((len(escaped(name)) for name in rows), default=0)
     for name, value in rows.items():
         text, colour = (marks or {}).get(name, ("", "reset"))
@@ -73,9 +80,15 @@ def show_columns(
     title: str = "",
     meanings: Mapping[str, str] | None = None,
 ) -> None:
-    """Prints a line for each of `rows`, a name and a cell under each of `heads`, and what it means
-    behind the last one; one table below another where the terminal is too narrow for all
-    columns."""
+    """Print a table. If the terminal is too narrow for all columns, print several, one below the
+    other.
+
+    Args:
+        rows: Cells by the name of the row.
+        heads: Heads of the columns.
+        title: Line above, or "".
+        meanings: Text behind the last column, by the name of the row.
+    """
     if title:
         say(f"\n{title}")
     first = max(len(escaped(name)) for name in rows)
@@ -86,63 +99,72 @@ def show_columns(
     wide = shutil.get_terminal_size((ENDLESS, 24)).columns
     begin = 0
     while begin < len(heads):
-        end = begin + 1
+        end = begin + 1  # at least one column, however narrow the terminal is
         while end < len(heads) and first + sum(widths[begin : end + 1]) <= wide:
             end += 1
         for name, cells in ((" " * first, heads), *rows.items()):
-            shown = (cells[n].rjust(widths[n]) for n in range(begin, end))
+            row = (cells[n].rjust(widths[n]) for n in range(begin, end))
             meaning = (meanings or {}).get(name, "") if end == len(heads) else ""
-            say(f"{escaped(name).ljust(first)}{''.join(shown)}  {meaning}".rstrip())
+            say(f"{escaped(name).ljust(first)}{''.join(row)}  {meaning}".rstrip())
         begin = end
 
 
 def curve(values: Sequence[float]) -> str:
-    """Numbers as a line of bars, the least the lowest; of more than `MOST_BARS` as many,
-    evenly spread."""
-    if len(values) > MOST_BARS:
-        values = [values[n * (len(values) - 1) // (MOST_BARS - 1)] for n in range(MOST_BARS)]
-    least, height = min(values), max(values) - min(values)
-    step = (len(BARS) - 1) / (height or 1)
-    return "".join(BARS[round((value - least) * step)] for value in values)
+    """Return numbers as a line of bars, at most `MAX_BARS`, evenly spread."""
+    if len(values) > MAX_BARS:
+        values = [values[n * (len(values) - 1) // (MAX_BARS - 1)] for n in range(MAX_BARS)]
+    low, height = min(values), max(values) - min(values)
+    step = (len(BARS) - 1) / (height or 1)  # equal values: all bars are low
+    return "".join(BARS[round((value - low) * step)] for value in values)
 
 
 def per_split(counts: Mapping[str, int]) -> str:
-    """Counts in words: "train 40, val 4"."""
+    """Return counts as a text: "train 40, val 4"."""
     return ", ".join(f"{name} {count}" for name, count in counts.items())
 
 
 def rejections(rejected: Mapping[str, Mapping[str, int]]) -> str:
-    """What was rejected while drawing, in words."""
+    """Return counts of rejected worlds and viewpoints, with reasons, as a text."""
     parts = [
-        f"{plural(count, what)}: {f'{REASONS[reason]} ({reason})' if reason in REASONS else reason}"
-        for what, counts in rejected.items()
+        f"{plural(count, name)}: {f'{REASONS[reason]} ({reason})' if reason in REASONS else reason}"
+        for name, counts in rejected.items()
         for reason, count in counts.items()
     ]
     return "; ".join(parts) or "none"
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as one, names joined by dots."""
-    found: dict[str, Any] = {}
+    """Flatten nested tables.
+
+    Args:
+        values: Values and tables by name.
+        prefix: Text before each name.
+
+    Returns:
+        Values by their names, joined by dots.
+    """
+    rows: dict[str, Any] = {}
     for name, value in values.items():
-        inner = isinstance(value, dict)
-        found |= flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
-    return found
+        rows |= (
+            flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+        )
+    return rows
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables as one, see `flat`, with lists and numbers for people."""
+    """Flatten nested tables, see `flat`, and format lists and numbers for people."""
     return {name: _plain(value) for name, value in flat(values).items()}
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, list):
-        return ", ".join(str(_plain(one)) for one in value) or "none"
+        return ", ".join(str(_plain(item)) for item in value) or "none"
     return f"{value:.4g}" if isinstance(value, float) else value
 
 
 def announce_compilation() -> None:
-    """Says why a run takes longer: the first one, or every one where kernels cannot be kept."""
+    """Print a note if kernels have to be compiled: in the first run on a machine, or in every run
+    if they cannot be stored."""
     from lidarsim.jit import cache_trouble, no_kernels
 
     trouble = cache_trouble("scenegen")
@@ -153,32 +175,45 @@ def announce_compilation() -> None:
 
 
 class Progress:
-    """A bar of what is done, the rate and the time left. It runs a thread, so it begins after the
-    workers."""
+    """A progress bar with rate and time left. It runs a thread, so start it after workers are
+    forked."""
 
     def __init__(self, label: str, *, shown: bool):
-        self._label, self._shown = label, shown
-        self._done = 0
+        """Prepare a bar.
+
+        Args:
+            label: Text before the bar.
+            shown: Whether anything is shown.
+        """
+        self._label, self._shown, self._done = label, shown, 0
         self._bar: Any = None
         self._begun = ExitStack()
 
     def __enter__(self) -> "Progress":
         self._begun.enter_context(undone_if_stopped(self._leave))
+        self._begun.callback(self.stop)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.stop()
         self._begun.close()
 
-    def stop(self) -> None:
-        """Leaves the bar as it stands."""
-        if self._bar is not None:
-            self._bar.stop()
-
     def start(self, total: int) -> None:
-        """Shows the bar, of `total` samples less those counted already."""
+        """Show a bar of `total` samples; those counted before the first bar are done."""
+        self.restart(self._label, total, 0 if self._bar is not None else self._done)
+
+    def restart(self, label: str, total: int, done: int) -> None:
+        """Show a new bar.
+
+        Args:
+            label: Text before the bar.
+            total: Number of samples.
+            done: Number of samples that are done already.
+        """
+        self.stop()
+        self._label, self._done = label, done
         if not self._shown:
             return
+        # slow to import, and not needed with --quiet or --json
         from rich import progress
         from rich.console import Console
 
@@ -191,64 +226,30 @@ class Progress:
             # notebooks ask for colours, which rich takes for a terminal
             console=Console(stderr=True, force_terminal=sys.stderr.isatty()),
         )
-        self._begin, self._at_begin = time.perf_counter(), self._done
-        self._task = self._bar.add_task(
-            escaped(self._label), total=total, completed=self._done, rate=""
-        )
+        # the rate counts only what this run did
+        self._begin, self._at_begin = time.perf_counter(), done
+        self._task = self._bar.add_task(escaped(label), total=total, completed=done, rate="")
         self._bar.start()
 
-    def restart(self, label: str, total: int, done: int) -> None:
-        """Shows a new bar of `total` samples, `done` of them already."""
-        self.stop()
-        self._label, self._done = label, done
-        self.start(total)
+    def stop(self) -> None:
+        """End the bar, and leave it on the screen."""
+        if self._bar is not None:
+            self._bar.stop()
 
     def note(self, text: str) -> None:
-        """Shows `text` behind the label."""
+        """Show a text behind the label."""
         if self._bar is not None:
             self._bar.update(self._task, description=escaped(f"{self._label} {text}"))
 
     def count(self, samples: int) -> None:
-        """Counts samples as done."""
+        """Count samples as done."""
         self._done += samples
         if self._bar is not None:
             rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
             self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f} a second")
 
     def _leave(self) -> None:
-        """For a stop: the bar's thread and locks are let be."""
+        """Restore the terminal in a signal handler, where the bar's locks may be held."""
         if self._bar is not None and os.isatty(2):
             with suppress(OSError):
                 os.write(2, SHOW_CURSOR)
-
-
-Tell = Callable[[Any], bool]
-"""What prints a command's result as JSON, if that is asked for, and says whether to show it to
-people; it is given the result, or what makes one that takes time."""
-Showing = Callable[[str], Progress]
-"""What makes the bar of work that has a label."""
-
-
-def silent(label: str) -> Progress:
-    """The bar of work that nobody watches."""
-    return Progress(label, shown=False)
-
-
-def counted(
-    execute: Executor,
-    progress: Showing,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    label: str,
-    total: int,
-    size: Callable[[Any], int] = len,
-) -> Iterator[Any]:
-    """What `execute` has `work` make of each task, as it comes; `progress` shows how many samples
-    of the `total` there are, of which a result holds its `size`."""
-    with (
-        progress(label) as shown,
-        closing(execute(work, tasks, lambda: shown.start(total))) as results,
-    ):
-        for one in results:
-            shown.count(size(one))
-            yield one

@@ -1,9 +1,8 @@
-"""Stops from outside (Ctrl-C, SIGTERM, SIGHUP) at any moment: what is begun is undone, one line,
-and the end.
+"""Handles stops (Ctrl-C, SIGTERM, SIGHUP) at any moment: unfinished work is undone, one line is
+printed, and the process ends.
 
-No exception is raised, which a library's callback could swallow or print; the process ends within
-the signal's handler. Nothing is imported here that takes long, so that a command can begin with
-this.
+The process ends within the signal handler. An exception could be swallowed or printed by a
+library's callback. This file imports nothing slow, so that a command can begin with it.
 """
 
 import os
@@ -12,26 +11,30 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from scenegen.run import undo_all
+from scenegen.base.executors import undo_all
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that stop a command."""
 STOPPED = "stopped; nothing finished is lost: give the same command again"
+"""Line of a stopped command."""
 CODE = 130
-MOST_UNDOING_S = 20
-"""After which a process that cannot undo what it began is ended by the system, seconds."""
-
+"""Exit code of a stopped command, as shells have it for Ctrl-C."""
+MAX_UNDO_S = 20
+"""Maximum time to undo unfinished work, seconds; then the kernel ends the process."""
 _owner = 0
+"""Id of the process that is the command, not one of its children."""
 _noted: list[list[int]] = []
+"""Signals received in each `noted`, the innermost last."""
 
 
 def is_command() -> bool:
-    """Whether this process was begun to be the command line, and not to import it."""
+    """Whether this process is the command line, rather than a program that imports it."""
     name = os.path.basename(sys.argv[0])  # noqa: PTH119 (pathlib takes time)
     return name in ("scenegen", "scenegen-lidar", "cli.py")
 
 
 def answer() -> None:
-    """From here on, let a stop end this process."""
+    """Let a stop end this process from now on."""
     global _owner
     _owner = os.getpid()
     for number in STOPS:
@@ -39,11 +42,10 @@ def answer() -> None:
 
 
 def answer_hanging() -> None:
-    """Let a second stop end this process even if it hangs in a library, where Python cannot answer
-    the first.
+    """Let a second stop end this process even if it hangs in a library.
 
-    The kernel then forgets the handler when it has called it once, which is where Python only notes
-    the signal.
+    Python's C handler only notes a signal, and runs ours when the library returns. With
+    `sysv_signal` the kernel removes the handler after the first signal, so the second one kills.
     """
     import ctypes
 
@@ -57,33 +59,39 @@ def answer_hanging() -> None:
 
 @contextmanager
 def noted() -> Iterator[Callable[[], bool]]:
-    """For a loop that looks whether to stop: a first stop is noted, and makes what is given true; a
-    second ends all."""
-    asked: list[int] = []
-    _noted.append(asked)
+    """Note a first stop, for a loop that checks whether to end; a second stop ends the process.
+
+    Yields:
+        A function: whether a stop was noted.
+    """
+    signals: list[int] = []
+    _noted.append(signals)
     try:
-        yield lambda: bool(asked)
+        yield lambda: bool(signals)
     finally:
-        _noted.remove(asked)
+        _noted.remove(signals)
 
 
 def _stop(number: int, frame: object) -> None:
-    if (
-        os.getpid() != _owner
-    ):  # a child that has no handlers of its own yet, or a library's: Ctrl-C is ours to answer
+    """Handle a signal: note it, or undo unfinished work and end the process."""
+    # a child without handlers of its own yet, or a library's: the owner answers Ctrl-C for all
+    if os.getpid() != _owner:
         if number != signal.SIGINT:
             os._exit(CODE)
         return
     if _noted and not _noted[-1]:
         _noted[-1].append(number)
+        # armed again: the second stop must end even a loop that hangs
         answer()
         answer_hanging()
         return
-    for again in STOPS:
-        signal.signal(again, signal.SIG_IGN)
+    # further stops must not interrupt the undoing, but it must not take for ever either
+    for ignored in STOPS:
+        signal.signal(ignored, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(MOST_UNDOING_S)
-    said = undo_all() or STOPPED
+    signal.alarm(MAX_UNDO_S)
+    line = undo_all() or STOPPED
     with suppress(OSError):
-        os.write(2, f"scenegen: {said}\n".encode())
+        # not print: a lock of the stream may be held where the signal came
+        os.write(2, f"scenegen: {line}\n".encode())
     os._exit(CODE)

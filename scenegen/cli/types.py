@@ -1,4 +1,4 @@
-"""Types of options and arguments: what is wrong with one is told before anything begins."""
+"""Types of options and arguments. They refuse wrong values before the command begins."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,26 +10,39 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
-from scenegen.errors import printable, raised_as
+from scenegen.base.errors import printable, raised_as
 
-MOST_REPEATED = 60
-"""Characters of a value that an error repeats."""
-
-
+MAX_REPEATED = 60
+"""Maximum characters of a value that an error repeats."""
 FILE = click.Path(path_type=Path)
-"""A file or a folder to read."""
+"""Type of a file or folder to read."""
 
 
 class Written(click.ParamType):
-    """A value that `read` makes of its text; it raises ValueError, in one line, where it cannot."""
+    """A value that a function reads from its text."""
 
     def __init__(self, read: Callable[[str], Any], name: str):
+        """Make the type.
+
+        Args:
+            read: Function from text to value, which raises ValueError with one line.
+            name: Name of the value on help pages.
+        """
         self.read, self.name = read, name
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value; a default is one already."""
+        """Return the value of a text, see `click.ParamType.convert`.
+
+        Args:
+            value: The text, or a default, which is a value already.
+            param: The parameter, for errors.
+            ctx: The context, for errors.
+
+        Raises:
+            click.BadParameter: The text is not valid.
+        """
         if not isinstance(value, str):
-            return value
+            return value  # click also converts defaults
         try:
             return self.read(value)
         except ValueError as error:
@@ -38,14 +51,14 @@ class Written(click.ParamType):
 
 @dataclass(eq=False)
 class Named(Written):
-    """The name of something in a registry, or a user's own as module:Object.
+    """The name of an object in a registry, or a user's own as module:Object.
 
     Args:
-        registry: What can be named.
-        file: A name that ends so is that of a file.
-        others: Endings of files that another option takes, each with that option.
+        registry: Registry of the names.
+        file: Suffix of files that may be given, too.
+        others: Option that takes a file, by the file's suffix.
         address: Whether an address may follow, as in ray://host:10001.
-        paths: Whether it may be a path: what exists, or is no plain word.
+        paths: Whether paths may be given: texts that exist as one, or are not a plain word.
     """
 
     registry: Registry
@@ -58,50 +71,68 @@ class Named(Written):
         self.name = self.registry.what
 
     def read(self, text: str) -> str:
-        """The name, if it can be one; a user's own is imported later."""
+        """Check a name; a user's own is imported later.
+
+        Raises:
+            ValueError: There is no such name.
+        """
         path = self.paths and (Path(text).exists() or not text.isidentifier())
         if path or (self.file is not None and text.endswith(self.file)):
             return text
         if option := self.others.get(Path(text).suffix):
             raise ValueError(f"{text} is a file; give it as {option} {text}")
         name = text.partition("://")[0] if self.address else text
+        # module:Object is not imported here: only its use shows whether it exists
         if ":" not in name and name not in self.registry.builtin:
             raise ValueError(self.registry.unknown(name))
         return text
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Names that begin with what is typed."""
+        """Return names for the shell.
+
+        Args:
+            ctx: The context, unused.
+            param: The parameter, unused.
+            incomplete: The begin of a name.
+        """
         return [
             CompletionItem(name) for name in self.registry.builtin if name.startswith(incomplete)
         ]
 
 
 class Choice(click.Choice[str]):
-    """One of a few words; a word that is none gets the nearest one named."""
+    """One of a few words; an error suggests the nearest one."""
 
     def get_invalid_choice_message(self, value: Any, ctx: Any) -> str:
-        """What is wrong with `value`."""
+        """Return the error for a word that is not among the choices.
+
+        Args:
+            value: The word.
+            ctx: The context, unused.
+        """
         hint = suggestion(str(value), self.choices)
         return f"{str(value)[:MOST_NAMED]!r} is none of them; {hint}"
 
 
 class DatasetPath(Written, click.Path):
-    """A dataset: a folder, hf://user/name[@revision], or s3://bucket/folder; the command fetches
-    it, and not the parsing."""
+    """A dataset: its folder, a folder of several, the file of a selection,
+    hf://user/name[@revision], or s3://bucket/folder. Parsing does not download; the command
+    does."""
 
     def __init__(self) -> None:
-        click.Path.__init__(self, file_okay=False)  # a shell completes it with folders
+        click.Path.__init__(self)
         self.name = "dataset"
 
     def read(self, text: str) -> Path | str:
-        """A name on the Hub as it is, and of any other what it stands for, if it can be one."""
+        """Return a path, or a name with a scheme. Raises ValueError if that is malformed."""
+        from scenegen.base.stores import place_of
         from scenegen.dataset.locate import SCHEME, parse
-        from scenegen.stores import folder_of
 
-        if not text.startswith(SCHEME):
-            return folder_of(text)
-        parse(text)
-        return text
+        if text.startswith(SCHEME):
+            parse(text)
+            return text
+        place = place_of(text)
+        return place if isinstance(place, Path) else text
 
 
 class OutputFolder(Written, click.Path):
@@ -111,37 +142,50 @@ class OutputFolder(Written, click.Path):
         click.Path.__init__(self)
         self.stores = stores
 
-    def read(self, text: str) -> Path:
-        """The folder; none that is named with a scheme, where no such thing is written to."""
-        from scenegen.stores import STORES, folder_of, is_remote
+    def read(self, text: str) -> Any:
+        """Return the folder or the store.
+
+        Raises:
+            ValueError: Nothing can be written to a name with this scheme.
+        """
+        from scenegen.base.stores import WRITTEN, is_remote, place_of
 
         scheme = text.partition("://")[0]
-        if is_remote(text) and not (self.stores and scheme in STORES.builtin):
+        if is_remote(text) and not (self.stores and scheme == WRITTEN):
             hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
             raise ValueError(f"{scheme}://… is not written to; give a folder{hint}")
-        return folder_of(text)
+        return place_of(text)
 
 
 class OutputFile(OutputFolder):
-    """A file to write, a new one or one as scenegen wrote it, whose name ends in one of `ends`, if
-    there are any; with `folders`, also a folder that is there."""
+    """A file to write: a new one, or one that scenegen wrote."""
 
     def __init__(self, *ends: str, folders: bool = False) -> None:
+        """Make the type.
+
+        Args:
+            ends: Suffixes that the name must have; none: any.
+            folders: Whether an existing folder may be given instead.
+        """
         super().__init__()
         self.ends, self.folders = ends, folders
 
     def read(self, text: str) -> Path:
-        """The path, if a file may be written there."""
-        from scenegen.errors import DatasetError
-        from scenegen.files import check_ours
+        """Check that a file may be written.
 
-        path = super().read(text)
+        Raises:
+            ValueError: It has another suffix, or exists and scenegen did not write it.
+        """
+        from scenegen.base.errors import DatasetError
+        from scenegen.base.files import check_ours
+
+        path: Path = super().read(text)
         if self.folders and path.is_dir():
             return path
         if self.ends and path.suffix not in self.ends:
             raise ValueError(f"{path}: expected a name that ends in {' or '.join(self.ends)}")
         with raised_as(ValueError, of=DatasetError):
-            check_ours(path)
+            check_ours(path)  # now, and not after hours of work
         return path
 
 
@@ -152,42 +196,53 @@ class Number(Written):
         self.bounds, self.name = bounds or Bounds(), name
 
     def read(self, text: str) -> Any:
-        """The number."""
+        """Parse a number.
+
+        Raises:
+            ValueError: It is not a number, or out of bounds.
+        """
         try:
             number = float(text)
         except ValueError:
-            raise ValueError(f"{text[:MOST_REPEATED]!r} is not a valid float") from None
-        if not self.bounds.hold(number):
-            raise ValueError(f"{text[:MOST_REPEATED]} is not {self.bounds}")
+            raise ValueError(f"{text[:MAX_REPEATED]!r} is not a valid float") from None
+        if not self.bounds.hold(number):  # also NaN and infinity
+            raise ValueError(f"{text[:MAX_REPEATED]} is not {self.bounds}")
         return number
 
 
 class Numbers(Number):
-    """As many numbers, with commas between them, as `name` has: X,Y,Z."""
+    """Numbers separated by commas, as many as there are words in `name`: X,Y,Z."""
 
     def read(self, text: str) -> tuple[float, ...]:
-        """The numbers."""
+        """Parse the numbers.
+
+        Raises:
+            ValueError: There are fewer or more, or one is not a number.
+        """
         parts, count = text.split(","), self.name.count(",") + 1
         if len(parts) != count:
-            told = f"expected {self.name}, {count} numbers with commas between"
-            raise ValueError(f"{text[:MOST_REPEATED]!r}: {told}")
+            expected = f"expected {self.name}, {count} numbers with commas between"
+            raise ValueError(f"{text[:MAX_REPEATED]!r}: {expected}")
         return tuple(map(super().read, parts))
 
 
 def read_range(text: str) -> tuple[int, int]:
-    """FIRST:STOP, as in Python: numbers from FIRST to one before STOP."""
-    first, colon, stop = text.partition(":")
-    short = len(text) <= 40  # and no more digits than int() takes
-    if not (colon and short and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
-        told = "is not FIRST:STOP with FIRST < STOP, such as 0:8"
-        raise ValueError(f"{text[:MOST_REPEATED]!r} {told}")
+    """Parse FIRST:STOP, as in Python: numbers from FIRST to one before STOP.
+
+    Raises:
+        ValueError: It is not such a range, or an empty one.
+    """
+    first, _, stop = text.partition(":")
+    if not (first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
+        expected = "is not FIRST:STOP with FIRST < STOP, such as 0:8"
+        raise ValueError(f"{text[:MAX_REPEATED]!r} {expected}")
     return int(first), int(stop)
 
 
 def read_ranges(text: str) -> tuple[tuple[int, int], ...]:
-    """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
-    value has (first, stop) of each."""
+    """Parse whole numbers and ranges, see `read_range`, separated by commas: 3,10:20. Return
+    (first, stop) of each; a number is a range of one."""
     return tuple(
-        (int(one), int(one) + 1) if one.isdecimal() and len(one) <= 12 else read_range(one)
-        for one in text.split(",")
+        (int(part), int(part) + 1) if part.isdecimal() else read_range(part)
+        for part in text.split(",")
     )

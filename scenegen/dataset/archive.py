@@ -1,5 +1,5 @@
-"""A shard's archive of worlds: a zip from anywhere, of which no more is unpacked than its directory
-may say; and a world out of it as files that MuJoCo opens."""
+"""Archives of worlds: untrusted zip files, unpacked within limits, and worlds extracted as files
+that MuJoCo opens."""
 
 import os
 import re
@@ -12,50 +12,50 @@ from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
-from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.files import (
-    check_ours,
-    disk_told,
-    make_parent,
-    read_bounded,
-    write_result,
-    write_whole,
-)
-from scenegen.limits import (
+from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
+from scenegen.base.files import check_ours, disk_told, make_parent, write_result, write_whole
+from scenegen.base.limits import (
     MOST_ARCHIVE_BYTES,
     MOST_ASSET_BYTES,
     MOST_CELLS,
     MOST_DOCUMENT_BYTES,
     MOST_MEMBERS,
 )
+from scenegen.base.reading import read_bounded
 
 MEMBER = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
-"""What a world's document is called in an archive."""
+"""Name of a world's document in an archive."""
 PLAIN = re.compile(r"""(?![.])[^\x00-\x1f\x7f-\U0010ffff/\\:*?"<>|]{1,200}""")
-"""What members are called: no path, and nothing that a file system could mistake."""
+"""Allowed names of members: no path, and no character that a file system may treat specially."""
 DOCUMENT = "world.xml"
-"""What `Dataset.world` calls it."""
+"""Name of a world's document in `Dataset.world`."""
 
 
 class Members(dict[str, zipfile.ZipInfo]):
-    """The members of an open archive, by their names; each is read when asked for."""
+    """Members of an open archive by name. Each is read on request."""
 
     def __init__(self, archive: zipfile.ZipFile):
         super().__init__({member.filename: member for member in archive.infolist()})
         self._archive = archive
 
     def read(self, name: str) -> bytes:
-        """A member's content. Raises BrokenError for an image that would take too much memory."""
+        """Unpack a member.
+
+        Raises:
+            BrokenError: if its size differs from the directory's, or it is an image that would take
+                too much memory.
+        """
         member = self[name]
-        with self._archive.open(
-            member
-        ) as file:  # `ZipFile.read` would unpack whatever is in it, and then cut it
+        # `ZipFile.read` would unpack everything before it compares sizes
+        with self._archive.open(member) as file:
             content = file.read(member.file_size + 1)
+        # limits were checked for the size in the directory, so the content must have that size
         if len(content) != member.file_size:
             raise BrokenError(
                 f"member {name}: {len(content)} bytes unpacked, expected {member.file_size}"
             )
-        if content[:8] == b"\x89PNG\r\n\x1a\n":  # which says how much memory it wants
+        # a small PNG may declare a huge image, which MuJoCo would allocate
+        if content[:8] == b"\x89PNG\r\n\x1a\n":
             width, height = struct.unpack(">II", content[16:24])
             if width * height > MOST_CELLS:
                 raise BrokenError(
@@ -64,16 +64,24 @@ class Members(dict[str, zipfile.ZipInfo]):
         return content
 
     def world(self, name: str) -> tuple[bytes, dict[str, bytes]]:
-        """The document `name`, and the files that it refers to."""
+        """Unpack the document `name`, and the files that it refers to."""
         document = self.read(name)
-        return document, {other: self.read(other) for other in referred(document, self)}
+        return document, {file: self.read(file) for file in referred(document, self)}
 
 
 def referred(document: bytes, names: Iterable[str]) -> list[str]:
-    """Those of the files `names`, but for documents, that an MJCF document has among its
-    attributes' values."""
+    """Find the files that an MJCF document refers to: names that are values of its attributes.
+
+    Args:
+        document: The document.
+        names: Names of files to look for.
+
+    Returns:
+        Names of the files, without documents.
+    """
     values = {
         match[1] or match[2]
+        # a pattern instead of a parser: untrusted documents reach this before they are screened
         for match in re.finditer(rb"""=\s*(?:"([^"<]*)"|'([^'<]*)')""", document)
     }
     return [name for name in names if not name.endswith(".xml") and name.encode() in values]
@@ -81,9 +89,17 @@ def referred(document: bytes, names: Iterable[str]) -> list[str]:
 
 @contextmanager
 def open_archive(file: BufferedReader, name: str) -> Iterator[Members]:
-    """The members of the archive in `file`, if all have plain names and bounded sizes.
+    """Open an archive, and check the names and sizes of its members.
 
-    Whatever goes wrong meanwhile comes out as BrokenError, naming the archive, `name`.
+    Args:
+        file: The open file.
+        name: Its name, for messages.
+
+    Yields:
+        The members.
+
+    Raises:
+        BrokenError: if the archive is damaged, or reading a member in the block fails.
     """
     try:
         _check_directory(file)
@@ -92,24 +108,22 @@ def open_archive(file: BufferedReader, name: str) -> Iterator[Members]:
             yield Members(archive)
     except BrokenError as error:
         raise BrokenError(f"{name}: {error}") from None
-    except (
-        Exception
-    ) as error:  # zipfile's, zlib's, struct's, and what else a crafted file may bring forth
+    except Exception as error:  # a crafted file may raise any error of zipfile, zlib or struct
         raise BrokenError(
             f"{name}: is damaged ({printable(error)[:200] or type(error).__name__})"
         ) from None
 
 
 def _check_directory(file: BufferedReader) -> None:
-    """Before zipfile reads the directory of members, see that it is small."""
+    """Check the size of the directory of members before zipfile reads it into memory."""
     size = file.seek(0, os.SEEK_END)
     if size > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{size} bytes, expected {MOST_ARCHIVE_BYTES} at most")
+    # the end record has 22 bytes, and the 20 before it would be a zip64 locator
     file.seek(max(size - 42, 0))
     end = file.read(42)
-    if (
-        len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7"
-    ):  # the latter: another directory, of any size
+    # PK\6\7 would point to a second directory (zip64) of any size
+    if len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7":
         raise BrokenError("is not a whole zip file: it does not end as one")
     count, length = struct.unpack("<HI", end[-12:-6])
     if count > MOST_MEMBERS or length > MOST_MEMBERS * 200:
@@ -122,6 +136,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
     total = 0
     for member in members:
         name = member.filename
+        # zipfile cuts names at a NUL, so the original is compared as well
         if not PLAIN.fullmatch(name) or member.orig_filename != name:
             raise BrokenError(
                 f"member {short(name)}: expected a plain file name, of a file beside the others"
@@ -135,14 +150,15 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
             or member.flag_bits & 1
         ):
             raise BrokenError(f"member {name}: is encrypted or packed otherwise than by deflate")
-        most = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES
-        if member.file_size > most:
+        max_bytes = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES
+        if member.file_size > max_bytes:
             raise BrokenError(
-                f"member {name}: {member.file_size} bytes unpacked, expected {most} at most"
+                f"member {name}: {member.file_size} bytes unpacked, expected {max_bytes} at most"
             )
         total += member.file_size
     if total > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
+    # of two members with the same name, readers may use either
     for name, count in Counter(member.filename for member in members).most_common(1):
         if count > 1:
             raise BrokenError(f"member {name}: is there twice")
@@ -152,28 +168,35 @@ FOLDERS = ("assetdir", "meshdir", "texturedir")
 
 
 def write_extracted(files: Mapping[str, bytes], output: Path) -> None:
-    """Write a world, as `Dataset.world` gives it, to `output`.
+    """Write a world to files that MuJoCo opens.
 
-    The document goes there as it is archived. If it refers to other files, these go into a folder
-    of their own, `output`'s name with ``.files`` for its ending, and the document says so. In that
-    folder nothing is replaced. Raises DatasetError.
+    Files that the document refers to go to a folder beside it, named as `output` with the ending
+    ``.files``; the document then refers to that folder. No file in the folder is replaced.
+
+    Args:
+        files: The world, from `Dataset.world`.
+        output: Path of the document.
+
+    Raises:
+        DatasetError: if other files stand there, or the document is no XML.
     """
     document = files[DOCUMENT]
-    others = {name: content for name, content in files.items() if name != DOCUMENT}
+    assets = {name: content for name, content in files.items() if name != DOCUMENT}
     check_ours(output)
     make_parent(output)
-    if others:
+    if assets:
         folder = output.with_suffix(".files")
+        # files first: a document without its files would look complete
         document = _referring(document, folder.name, output)
-        _add(others, folder)
+        _add(assets, folder)
     write_result(output, document)
 
 
 def _referring(document: bytes, folder: str, output: Path) -> bytes:
-    """`document` with its files in `folder`."""
-    odd = f"{output}: the archived world is no XML: "
-    failed = (ElementTree.ParseError, ValueError, RecursionError)
-    with raised_as(DatasetError, odd, "; verify the dataset", of=failed):
+    """Make `document` refer to its files in `folder`."""
+    fault = f"{output}: the archived world is no XML: "
+    errors = (ElementTree.ParseError, ValueError, RecursionError)
+    with raised_as(DatasetError, fault, "; verify the dataset", of=errors):
         root = ElementTree.fromstring(document)
     for compiler in root.iter("compiler"):
         for name in FOLDERS:
@@ -184,10 +207,11 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
 
 
 def _add(files: Mapping[str, bytes], folder: Path) -> None:
-    """Put `files` into `folder`, where they may be already."""
+    """Write `files` into `folder`. Equal files may exist there."""
     with disk_told(folder):
         folder.mkdir(exist_ok=True)
     absent = {name: content for name, content in files.items() if not (folder / name).exists()}
+    # several worlds may share a folder: equal files are kept
     for name in files.keys() - absent.keys():
         if read_bounded(folder / name, MOST_ASSET_BYTES) != files[name]:
             raise DatasetError(f"{folder / name}: is there and another file; give another -o")

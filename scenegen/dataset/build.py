@@ -1,43 +1,44 @@
-"""Build a dataset: plan its shards, find those that are there, have the rest written, and sign the
-whole."""
+"""Build a dataset: plan its shards, find existing ones, write the others, complete the manifest."""
 
 import math
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from lidarsim.engines import DEFAULT, MUJOCO
-from scenegen import SPLITS
+from lidarsim.engines import DEFAULT
+from scenegen import GENERATOR, SPLITS
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, whole_number
+from scenegen.base.executors import Counted, Executor, software, undone, unheard
+from scenegen.base.files import writable
+from scenegen.base.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
+from scenegen.base.stores import Place
+from scenegen.base.workers import Local
 from scenegen.dataset import manifest
+from scenegen.dataset.contract import Manifest, schema_of
 from scenegen.dataset.layout import layout_of
-from scenegen.dataset.parts import schema_of
+from scenegen.dataset.parameters import mapping_entry, noise_entry, plain, sensor_entry
 from scenegen.dataset.placed import write_shard
-from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine
+from scenegen.dataset.schema import RecipeEntry, SceneEntry
+from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError
-from scenegen.files import Json, remove_drafts, writable
-from scenegen.limits import MOST_SHARDS
-from scenegen.recipe import Recipe
-from scenegen.run import Counted, Executor, undone, unheard
-from scenegen.run.workers import Local
-from scenegen.source import Source
-from scenegen.stores import StorePath
+from scenegen.draw.source import Source
+from scenegen.worlds.recipe import Recipe
 
 NOTE_S = 30.0
-"""Seconds after which a run writes down what is finished; of the most shards that there can be,
-that takes some seconds."""
+"""Interval at which a run records finished shards, seconds. With `MOST_SHARDS`, recording takes
+some seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What a run did, and what it knows to be there; a job with a part of the shards looks at no
-    others until all are there."""
+    """Result of a run. A job that writes a part of the shards does not examine the others until all
+    exist."""
 
-    folder: Path
+    folder: Place
     complete: bool
     samples: dict[str, int]
     worlds: dict[str, int]
@@ -50,64 +51,120 @@ class Summary:
 
 
 def plan_dataset(
-    folder: Path,
+    folder: Place,
     recipe: Recipe,
     source: Source,
-    **options: Any,
+    *,
+    seed: int,
+    counts: Mapping[str, int],
+    compact: bool = False,
+    shard_samples: int = USUAL_IN_SHARD,
+    engine: str = DEFAULT,
+    tables: RecipeEntry | None = None,
+    like: str | None = None,
+    shard_type: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide the samples that `options` ask for, those of `manifest.parameters`, into shards made
-    of whole units.
+    """Divide samples into shards of whole units.
 
-    Raises DatasetError for an engine that is not to be had, and for numbers beyond those that
-    readers take.
+    Args:
+        folder: Location of the dataset.
+        recipe: Settings of samples.
+        source: Where worlds come from.
+        seed: Seed of all random numbers.
+        counts: Number of samples of each split.
+        compact: Whether derived fields are left out.
+        shard_samples: Approximate number of samples of a shard.
+        engine: Name of the engine that casts rays; see `lidarsim.engines.ENGINES`.
+        tables: The recipe's entry in the manifest, if it differs from `recipe_entry`.
+        like: Digest of the dataset that is scanned again, if any.
+        shard_type: Class of shards, which draws their units.
+
+    Returns:
+        The plan. Nothing is written.
+
+    Raises:
+        DatasetError: if the engine is not available, or a number exceeds a limit of readers.
     """
-    given = manifest.parameters(recipe, source, **options)
-    find_engine(options.get("engine", DEFAULT))
-    return divide(folder, given, recipe, source)
-
-
-def divide(
-    folder: Path,
-    given: Json,
-    recipe: Recipe,
-    source: Source,
-    kind: type[ShardSpec] = ShardSpec,
-) -> Plan:
-    """Divide the samples that the manifest's parameters `given` ask for into shards of a `kind`.
-    Raises DatasetError."""
-    counts, fingerprint = given["counts"], manifest.fingerprint(given)
-    each = recipe.flight.viewpoints
-    step = max(given["shard_samples"] // each, 1)
-    layout = layout_of(given["fields"], schema_of(recipe))
-    shards = []
-    if (samples := sum(counts.values())) > MOST_SHARDS * step * each:
+    find_engine(engine)
+    seed = whole_number("--seed", seed, 0, MOST_SEED)
+    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    scenes = source.describe()
+    planned = Manifest(
+        generator=GENERATOR,
+        seed=seed,
+        counts={split: counts[split] for split in SPLITS},
+        tables=tables or recipe_entry(recipe),
+        scenes={split: [SceneEntry(**entry) for entry in scenes[split]] for split in scenes}
+        or None,
+        like=like,
+        fields=schema_of(recipe).stored(compact=compact),
+        shard_samples=shard_samples,
+        engine=engine,
+        software=software(),
+        folder=Path(str(folder)),
+    )
+    with raised_as(DatasetError, "a manifest cannot say what is asked for: ", of=BrokenError):
+        # a manifest that no reader accepts is refused before anything is drawn
+        manifest.parse(manifest.encode(planned))
+    # cached properties would read the table of rays from the folder, where it is not written yet
+    planned.__dict__.update(recipe=recipe, lidar=recipe.lidar)
+    viewpoints = recipe.flight.viewpoints
+    # a shard holds whole flights, at least one
+    step = max(shard_samples // viewpoints, 1)
+    if (samples := sum(counts.values())) > MOST_SHARDS * step * viewpoints:
         raise DatasetError(
-            f"--shard-samples {given['shard_samples']}: {samples} samples are more than "
-            f"{MOST_SHARDS} shards of {step * each}; give {-(-samples // MOST_SHARDS)} or more"
+            f"--shard-samples {shard_samples}: {samples} samples are more than {MOST_SHARDS} "
+            f"shards of {step * viewpoints}; give {-(-samples // MOST_SHARDS)} or more"
         )
+    shards = []
     for split in SPLITS:
-        units = math.ceil(counts[split] / each)
+        units = math.ceil(counts[split] / viewpoints)
         for index, first in enumerate(range(0, units, step)):
-            here = range(first, min(first + step, units))
-            # a world a unit is a range, which takes no memory, or worlds come again
-            apart = source.number(split, here[-1])[0] == here[-1]
+            unit_numbers = range(first, min(first + step, units))
+            # with a new world for every unit, a range serves, which takes no memory
+            is_range = source.number(split, unit_numbers[-1])[0] == unit_numbers[-1]
             shards.append(
-                kind(
-                    folder=folder,
+                shard_type(
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=here if apart else [source.number(split, unit)[0] for unit in here],
-                    samples=min(len(here) * each, counts[split] - first * each),
-                    seed=given["seed"],
-                    layout=layout,
-                    parameters=fingerprint,
+                    numbers=unit_numbers
+                    if is_range
+                    else [source.number(split, unit)[0] for unit in unit_numbers],
+                    # the last flight of a split may be cut
+                    samples=min(len(unit_numbers) * viewpoints, counts[split] - first * viewpoints),
+                    seed=seed,
+                    layout=layout_of(planned.fields, schema_of(recipe)),
+                    parameters=planned.fingerprint,
                     recipe=recipe,
                     source=source,
-                    engine=given.get("engine", MUJOCO),
+                    engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
+    return Plan(folder=folder, manifest=planned, shards=tuple(shards))
+
+
+def recipe_entry(recipe: Recipe) -> RecipeEntry:
+    """Describe a recipe in a manifest.
+
+    Raises:
+        BrokenError: if the noise cannot be described.
+    """
+    world = None if recipe.world is None else plain(asdict(recipe.world))
+    return RecipeEntry(
+        kind=recipe.kind,
+        version=recipe.version,
+        difficulty=recipe.difficulty,
+        world=world,
+        flight=plain(asdict(recipe.flight)),
+        accept=plain(asdict(recipe.accept)),
+        lidar=sensor_entry(recipe.lidar),
+        grid=plain(asdict(recipe.grid)),
+        noise=noise_entry(recipe.noise, recipe.lidar.max_range_m),
+        mapping=mapping_entry(recipe.mapping),
+        known=None if recipe.known is None else plain(asdict(recipe.known)),
+        parts={name: plain(asdict(settings)) for name, settings in recipe.parts.items()},
+    )
 
 
 def build(
@@ -120,24 +177,32 @@ def build(
     on_start: Counted = unheard,
     on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
 ) -> Summary:
-    """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make
-    a part of it.
+    """Make a dataset, or continue one.
 
-    A folder that holds the same dataset with fewer samples goes on from there.
+    A folder with the same dataset and fewer samples is continued. A run that is stopped leaves
+    complete shards, and the next run continues from there. The run that finds every shard completes
+    the manifest.
 
-    `workers` processes of this machine write the shards, or whatever `execute` has do it. `force`
-    replaces another dataset in the folder. `on_start` is told once the work has begun how many
-    samples this run sees to, and `on_shard` of each of its shards that is there already (False) and
-    of each that is written (True). A run that ends in any way leaves whole shards, and the next one
-    goes on from there. The run that finds every shard completes the manifest.
+    Args:
+        plan: The plan of the dataset.
+        workers: Number of processes of this machine.
+        execute: Executor of the shards, instead of `workers`.
+        shard_range: Positions (first, one past last) of the shards to write; all by default.
+        force: Whether another dataset in the folder is replaced.
+        on_start: Called with the number of samples of this run when its workers have started.
+        on_shard: Called as on_shard(report, is_new) for each shard of this run that exists or is
+            written.
 
-    Raises DatasetError for a folder that holds something else, and what writing shards raises.
+    Returns:
+        A summary of the run.
+
+    Raises:
+        DatasetError: if the folder holds something else. Errors of writing shards pass through.
     """
     first, stop = shard_range or (0, len(plan.shards))
     execute = execute or Local("", workers)
     state = State(plan, force=force)
     begun = state.begun
-    state.adopt()
     mine = execute.mine(plan.shards[first:stop])
     state.look(mine, workers=workers)
     missing = [shard for shard in mine if shard.file not in state.reports]
@@ -151,30 +216,31 @@ def build(
         on_shard(report, False)
     samples = sum(shard.samples for shard in mine)
     written, noted = 0, time.monotonic()
+    write = partial(write_shard, plan.folder)
     with (
-        undone(lambda: remove_drafts(plan.folder)),
-        closing(execute(write_shard, missing, lambda: on_start(samples))) as results,
+        undone(state.clear),
+        closing(execute(write, missing, lambda: on_start(samples))) as results,
     ):
         for report in results:
-            state.reports[report.file] = report
-            written += report.samples
+            state.reports[report.entry.file] = report
+            written += report.entry.samples
             on_shard(report, True)
             if time.monotonic() - noted > NOTE_S:
                 state.note(mine)
                 noted = time.monotonic()
+    # a later run can find these shards, even if no job completes the manifest
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
-    """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
-    nobody beforehand."""
-    if not missing or isinstance(plan.folder, StorePath):
+def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
+    """Check that the disk can hold the missing shards. Stores do not report their free space."""
+    if not missing or not isinstance(plan.folder, Path):
         return
     needed = replace(plan, shards=tuple(missing)).bytes_expected
     disk = shutil.disk_usage(writable(plan.folder))
-    # the system's own folders have no size; they refuse by themselves
+    # half of the estimate, so that no run is refused wrongly; /proc and the like have size 0
     if needed / 2 > disk.free and disk.total:
         raise DatasetError(
             f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
@@ -182,26 +248,27 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         )
 
 
-def _summarise(state: State, final: Json, written: int) -> Summary:
+def _summarise(state: State, final: Manifest, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = dict.fromkeys(SPLITS, 0)
     worlds = {split: set[int]() for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            source = shard.more.get("source", 0) << 32
-            worlds[shard.split].update(source + number for number in shard.numbers)
-    whole = final["complete"]
-    missing = 0 if whole else len(state.absent()) or len(plan.shards) - len(reports)
+            worlds[shard.split].update(shard.numbers)
+    missing = 0
+    if not final.complete:
+        # files of all shards may exist while some were not examined here
+        missing = len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,
-        complete=whole,
+        complete=final.complete,
         samples=samples,
-        worlds={split: len(found) for split, found in worlds.items()},
-        rejected=final["rejected"],
+        worlds={split: len(numbers) for split, numbers in worlds.items()},
+        rejected={subject: dict(counts) for subject, counts in final.rejected.items()},
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
         shards_missing=missing,
         samples_written=written,
-        digest=final["digest"],
+        digest=final.digest,
     )

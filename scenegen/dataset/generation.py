@@ -1,183 +1,313 @@
-"""Datasets from what a user asks for: a kind of worlds, several by weight, a recipe or MJCF files,
-and how many samples."""
+"""`generate`: from the user's options (a kind of worlds, a mixture, a recipe, or files) to plans of
+datasets."""
 
-import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
-from fractions import Fraction
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lidarsim import Sensor
 from lidarsim.engines import DEFAULT
+from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
+from scenegen.base.errors import (
+    AskedError,
+    DatasetError,
+    RecipeError,
+    SceneError,
+    raised_as,
+    short,
+    whole_number,
+)
+from scenegen.base.files import Json, disk_told
+from scenegen.base.limits import MOST_SAMPLES
+from scenegen.base.stores import Place, Store, place_of
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.gather import gathered, unlike
-from scenegen.dataset.locate import locate
-from scenegen.dataset.read import Dataset
-from scenegen.dataset.shard import ShardTask
+from scenegen.dataset.collection import COLLECTION, members_of, open_data, write_collection
+from scenegen.dataset.like import plan_like
+from scenegen.dataset.read import AnyDataset
 from scenegen.dataset.state import Plan
-from scenegen.errors import AskedError, RecipeError, SceneError, printable, short, whole_number
-from scenegen.files import Json
-from scenegen.limits import MOST_SAMPLES, MOST_SOURCES, MOST_WEIGHT
-from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
-from scenegen.recipes import kind_names
-from scenegen.sample import rng_of
-from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import folder_of
-from scenegen.tables import combinations, read_toml
-from scenegen.worlds.labels import By, Labels, labels_by
+from scenegen.draw.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
+from scenegen.draw.parts import PARTS, resolved
+from scenegen.draw.source import DrawnWorlds, SceneWorlds, read_scenes
+from scenegen.worlds.kinds import graded
+from scenegen.worlds.recipe import Recipe, preset, read_recipe
+from scenegen.worlds.tables import named_lidar
 
-MIXED = "mixed"
-"""The kind that stands for several."""
-Component = tuple[Recipe, Fraction]
-"""A recipe, and its weight: samples come in proportion to it."""
+
+@dataclass(frozen=True, kw_only=True)
+class Plans:
+    """Datasets to make: one, or several of a collection."""
+
+    folder: Place
+    datasets: tuple[Plan, ...]
+    """One dataset, or several in subfolders of `folder`."""
+
+    @property
+    def is_collection(self) -> bool:
+        """Whether there are several datasets in subfolders of `folder`."""
+        return self.datasets[0].folder != self.folder
+
+    def open(self, *, force: bool = False) -> None:
+        """List the datasets in the folder of a collection.
+
+        Args:
+            force: Whether another collection is replaced.
+
+        Raises:
+            DatasetError: if the folder holds something else.
+        """
+        if not self.is_collection or isinstance(self.folder, Store):
+            return
+        members = [plan.name for plan in self.datasets]
+        path = self.folder / COLLECTION
+        with disk_told(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            names = {item.name for item in self.folder.iterdir()} - {COLLECTION, *members}
+        # temporary files of other runs are ignored
+        strangers = {name for name in names if not name.endswith(".tmp")}
+        if strangers and not path.exists():
+            raise DatasetError(
+                f"{self.folder}: holds other files ({min(strangers)}, …); choose another folder "
+                "with --out"
+            )
+        if path.exists() and not force:
+            before = [member.name for member in members_of(self.folder)]
+            if before != members:
+                raise DatasetError(
+                    f"{self.folder}: holds another collection, of {', '.join(before)[:200]}; "
+                    "choose another folder with --out, or replace it with --force"
+                )
+        write_collection(self.folder, members)
 
 
 def generate(
     kind: str | None = None,
-    n: int = 2500,
+    n: int | None = None,
     *,
     out: str | Path | None = None,
     workers: int = 1,
     force: bool = False,
     **options: Any,
-) -> Dataset:
-    """Make a dataset, or go on with one, as `scenegen generate` does.
+) -> AnyDataset:
+    """Make a dataset, or continue one, as `scenegen generate` does.
 
     Args:
-        kind: Name of a kind of random worlds, or a kind of your own as "module:Class".
-        n: Training samples.
+        kind: Name of a kind of random worlds, or a kind of your own as "module:Class"; "mixed" for
+            a collection of all kinds.
+        n: Number of training samples; 2500 by default.
         out: Folder of the dataset; data/<kind> by default.
-        workers: Processes of this machine that write shards.
-        force: Replace another dataset in the folder.
-        options: Those of `scenegen.dataset.generation.plan_generation`, whose help says more:
-            `val`, `test`, `scene`, `recipe`, `lidar`, `noise`, `mapping`, `difficulty`, `labels`,
-            `seed`, `engine`, `compact`, `shard_samples`, `allow_unseen`.
+        workers: Number of processes of this machine.
+        force: Whether another dataset in the folder is replaced.
+        options: As for `plan_generation`: `val`, `test`, `scene`, `recipe`, `like`, `lidar`,
+            `noise`, `mapping`, `difficulty`, `labels`, `normals`, `seed`, `engine`, `compact`,
+            `shard_samples`, `allow_unseen`.
 
     Returns:
-        The dataset, opened.
+        The opened dataset or collection.
 
     Raises:
-        RecipeError, SceneError: What is asked for cannot be.
-        DatasetError: The folder holds something else, or the disk refuses.
-        GenerationError: No acceptable world comes out of the recipe's draws.
+        RecipeError: if options contradict each other, or the recipe is invalid.
+        SceneError: if a file cannot be used as a world.
+        DatasetError: if the folder holds something else, or the disk refuses.
+        GenerationError: if all draws of a world are rejected.
     """
-    plan = plan_generation(kind, n, out=out, **options)
-    build(plan, workers=workers, force=force)
-    return Dataset(locate(str(plan.folder)))
+    plans = plan_generation(kind, n, out=out, **options)
+    plans.open(force=force)
+    for plan in plans.datasets:
+        build(plan, workers=workers, force=force)
+    return open_data(str(plans.folder))
 
 
 def plan_generation(
     kind: str | None = None,
-    n: int = 2500,
+    n: int | None = None,
     *,
     val: int | None = None,
     test: int | None = None,
-    out: str | Path | None = None,
+    out: str | Place | None = None,
     scene: str | Path | None = None,
     recipe: str | Path | Recipe | None = None,
+    like: str | Path | None = None,
     lidar: str | Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
-    labels: By | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     allow_unseen: bool = False,
-    tell: Callable[[str], None] = lambda line: None,
-    **more: Any,
-) -> Plan:
-    """The shards of the dataset that is asked for; nothing is written yet.
+    report: Callable[[str], None] = lambda line: None,
+    engine: str | None = None,
+    compact: bool = False,
+    shard_samples: int | None = None,
+    **parts: Any,
+) -> Plans:
+    """Plan the dataset, or datasets, that the options describe. Nothing is written.
 
     Args:
-        kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all, or for the
+        kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all kinds, or for the
             components of the recipe.
-        n: Training samples.
-        val: Validation samples; by default a tenth of `n`, and none where there is one world.
-        test: Test samples; by default a fifth of `n`, and none where there is one world.
-        out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
-        scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
-            a point cloud that says where its sensor was, in place
-            of random worlds.
-        recipe: A TOML file of what differs from the kind's preset, or a whole `Recipe`.
-        lidar: The sensor, or its name; the recipe's by default.
-        noise: Stages of noise, such as "range:0.02,dropout:0.05".
-        mapping: Parameters of how maps are made.
-        difficulty: "easy", "medium" or "hard": which preset of the kind.
-        labels: What decides the classes of geoms: "class", "name", "material" or "group".
-        seed: The same seed gives the same dataset.
+        n: Number of training samples; 2500 by default.
+        val: Number of validation samples; by default a tenth of `n`, or 0 if there is only one
+            world.
+        test: Number of test samples; by default a fifth of `n`, or 0 if there is only one world.
+        out: Folder of the dataset; by default data/<kind> or data/<name of the scene>.
+        scene: Worlds from files instead of random ones: an MJCF file, a mesh, a map of a real place
+            (.bt, .ot, .npz), a folder of these, or a point cloud that records the sensor's
+            position.
+        recipe: A TOML file with changes to the kind's preset, or a complete `Recipe`.
+        like: A dataset or its manifest; see `scenegen.dataset.like.plan_like`.
+        lidar: The sensor or its name; by default the recipe's.
+        noise: Stages of noise, such as "range:0.02,dropout:0.05"; "none" for clean ranges.
+        mapping: Parameters of the mapper.
+        difficulty: Preset of the kind: "easy", "medium" or "hard".
+        seed: Seed of all random numbers; 0 by default.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
-        tell: Called with a sentence for whatever of the scenes is left out.
-        more: `engine`, `compact` and `shard_samples`; see
-            `scenegen.dataset.manifest.parameters`.
+        report: Called with a sentence about each part of the scenes that is left out.
+        engine: Name of the engine that casts rays; see `lidarsim.engines.ENGINES`.
+        compact: Whether derived fields are left out.
+        shard_samples: Approximate number of samples of a shard.
+        parts: Optional parts of samples, by their names in `PARTS`: `labels` is "class", "name",
+            "material" or "group"; `normals` is True.
+
+    Returns:
+        The plans.
 
     Raises:
-        RecipeError, SceneError, DatasetError: What is asked for cannot be.
+        RecipeError: if options contradict each other, or the recipe is invalid.
+        SceneError: if a file cannot be used as a world.
+        DatasetError: if a number is out of range, or `like` is no dataset.
     """
-    if kind is None and scene is None and recipe is None:
+    if kind is None and scene is None and recipe is None and like is None:
         raise AskedError(
-            "no worlds are named; give a kind, such as --kind pillar, a --scene or a --recipe"
+            "no worlds are named; give a kind, such as --kind pillar, a --scene, a --recipe, or a "
+            "dataset with --like"
         )
     if kind is not None and scene is not None:
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
-    named = kind if scene is None else "scene"
-    mapping = mapping or None  # of no parameters, it is none
-    given: Json = {"lidar": lidar, "noise": noise, "mapping": mapping, "difficulty": difficulty}
-    file = None if isinstance(recipe, Recipe | None) else Path(recipe)
+    for name in parts.keys() - PARTS.keys():
+        raise AskedError(f"unknown option {short(name)}; expected {', '.join(PARTS)}")
+    mapping = mapping or None  # without parameters, the recipe's mapping stays
+    sensing: Json = {"lidar": lidar, "noise": noise, "mapping": mapping}
+    storage: Json = {"compact": compact}
+    if shard_samples is not None:
+        storage["shard_samples"] = shard_samples
+    if like is not None:
+        world_options = {
+            "scene": scene,
+            "recipe": recipe,
+            "difficulty": difficulty,
+            "seed": seed,
+            **parts,
+        }
+        if conflicts := [name for name, value in world_options.items() if value]:
+            raise AskedError(f"--like says all of worlds; leave out {', '.join(conflicts)}")
+        numbers = None
+        # without numbers, those of the original are kept
+        if (n, val, test) != (None, None, None):
+            numbers = _counts(2500 if n is None else n, val, test, alone=False)
+        return _plan_like(like, out, kind, sensing, engine, numbers, compact=compact)
+    storage["engine"] = engine or DEFAULT
+    preset_options: Json = sensing | {"difficulty": difficulty}
+    kind_name = kind if scene is None else "scene"
+    recipe_file = None if isinstance(recipe, Recipe | None) else Path(recipe)
+    number, seed = 2500 if n is None else n, seed or 0
     if isinstance(recipe, Recipe):
-        if named not in (None, recipe.kind) or any(given.values()):
+        if kind_name not in (None, recipe.kind) or any(preset_options.values()):
             raise AskedError(
                 f"a whole Recipe, of kind {recipe.kind}, says all but worlds from files; leave "
-                f"out a kind, {', '.join(given)}"
+                f"out a kind, {', '.join(preset_options)}"
             )
-        asked = recipe
-    elif named == MIXED or (file is not None and is_mixed(file)):
-        if named not in (None, MIXED):
-            raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
-        parts = [
-            (replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
-            for one, weight in read_components(file, seed=seed, **given)
+        base_recipe = recipe
+    elif kind_name == MIXED or (recipe_file is not None and is_mixed(recipe_file)):
+        if kind_name not in (None, MIXED):
+            raise RecipeError(
+                f"{recipe}: is of several kinds, not of {kind_name}; leave --kind out"
+            )
+        components = [
+            (_with_parts(part_recipe, parts, DrawnWorlds(part_recipe)), weight)
+            for part_recipe, weight in read_components(recipe_file, seed=seed, **preset_options)
         ]
-        counts = _counts(n, val, test, alone=False)
-        return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
-    elif file is not None:
-        asked = read_recipe(file, named, **given)
+        counts = _counts(number, val, test, alone=False)
+        folder = _folder(out, MIXED)
+        return plan_mixed(folder, components, seed=seed, counts=counts, **storage)
+    elif recipe_file is not None:
+        base_recipe = read_recipe(recipe_file, kind_name, **preset_options)
     else:
-        assert named is not None
-        asked = preset(named, **given)
+        assert kind_name is not None
+        base_recipe = preset(kind_name, **preset_options)
     source: DrawnWorlds | SceneWorlds
     if scene is not None:
         source = read_scenes(
             Path(scene),
-            {"train": n, "val": val, "test": test},
+            {"train": number, "val": val, "test": test},
             seed=seed,
             allow_unseen=allow_unseen,
-            materials=labels in ("class", "material"),
+            # labels by class or material need the names of materials
+            materials=parts.get("labels") in ("class", "material"),
         )
         for line in source.notes:
-            tell(line)
-        if source.maps and more.get("engine", DEFAULT) != DEFAULT:
+            report(line)
+        if source.maps and storage["engine"] != DEFAULT:
             raise SceneError(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
-        asked, name = source.suited(asked), Path(scene).stem
-        alone = sum(map(len, source.scenes.values())) == 1
-    elif asked.world is None:
+        base_recipe, name = source.suited(base_recipe), Path(scene).stem
+        single_world = sum(map(len, source.scenes.values())) == 1
+    elif base_recipe.world is None:
         raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
     else:
-        source, alone = DrawnWorlds(asked), False
-        name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    asked = replace(asked, labels=_labels(labels, source) or asked.labels)
-    counts = _counts(n, val, test, alone=alone)
-    return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
+        source, single_world = DrawnWorlds(base_recipe), False
+        name = base_recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    base_recipe = _with_parts(base_recipe, parts, source)
+    if base_recipe.parts and isinstance(source, SceneWorlds) and source.maps:
+        raise SceneError(
+            f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
+            f"--{', --'.join(base_recipe.parts)}"
+        )
+    counts = _counts(number, val, test, alone=single_world)
+    folder = _folder(out, name)
+    plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)
+    return Plans(folder=folder, datasets=(plan,))
+
+
+def _plan_like(
+    like: str | Path,
+    out: str | Place | None,
+    kind: str | None,
+    sensing: Json,
+    engine: str | None,
+    counts: Mapping[str, int] | None,
+    *,
+    compact: bool,
+) -> Plans:
+    """Plan a dataset like another one; see `plan_generation`."""
+    if out is None:
+        raise AskedError("a dataset like another one needs a folder of its own; give --out")
+    folder, lidar = _folder(out, ""), sensing["lidar"]
+    sensor = None if lidar is None else named_lidar(lidar)
+    noise_text = sensing["noise"]
+    with raised_as(RecipeError):
+        noise = None if noise_text is None else Noise.parse(noise_text, sensor)
+    changes: Json = {} if counts is None else {"counts": counts}
+    changes |= {"compact": True} if compact else {}
+    plan = plan_like(
+        like,
+        folder,
+        kind=kind,
+        lidar=sensor,
+        noise=noise,
+        mapping=sensing["mapping"],
+        engine=engine,
+        **changes,
+    )
+    return Plans(folder=folder, datasets=(plan,))
 
 
 def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
-    """Samples of each split; those of the only world are all for training unless asked for. Raises
-    DatasetError for numbers beyond those that readers take."""
+    """Number of samples of each split. All samples of a single world are for training by default.
+    Raises DatasetError for numbers out of range."""
     n = whole_number("--n", n, 0, MOST_SAMPLES)
     usual = {"val": 0 if alone else max(n // 10, 1), "test": 0 if alone else max(n // 5, 1)}
     return {"train": n} | {
@@ -186,172 +316,85 @@ def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[s
     }
 
 
-def _labels(by: By | None, source: DrawnWorlds | SceneWorlds) -> Labels | None:
-    return labels_by(by, source.class_names(by)) if by else None
+def _with_parts(
+    recipe: Recipe, parts: Mapping[str, Any], source: DrawnWorlds | SceneWorlds
+) -> Recipe:
+    """Add the optional parts of samples that the user chose to a recipe."""
+    return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
 
 
-def _folder(out: str | Path | None, name: str) -> Path:
+def _folder(out: str | Place | None, name: str) -> Place:
     if out is None:
         return Path("data", name)
-    return folder_of(out) if isinstance(out, str) else out
-
-
-def is_mixed(path: Path) -> bool:
-    """Whether a recipe file is one of several kinds. Raises RecipeError."""
-    tables = read_toml(path)
-    return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
-
-
-def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) -> list[Component]:
-    """The components of a mixture.
-
-    Args:
-        path: A recipe file with ``kind = "mixed"`` and tables ``[[component]]`` of a `kind`, a
-            `weight`, and tables of their own, such as ``[component.world]``. Tables of the file
-            itself are common to all. Without a file, or without components, every kind that comes
-            with scenegen has the same weight. A table ``[domain.TABLE]`` beside them gives
-            parameters of that table lists of values: a component is then as many, one for every
-            combination, which share its weight. Where values have intervals, ``[domain] draws``
-            says how often each combination is taken, every time with other numbers.
-        seed: What the numbers of intervals are drawn by.
-        given: What all have in common, as for `scenegen.preset`.
-
-    Raises:
-        RecipeError: A component is none, or only some have weights.
-    """
-    common, where, folder = {}, "", Path()
-    if path is not None:
-        common, where, folder = read_toml(path), printable(path), path.parent
-    kind = common.pop("kind", MIXED)
-    every = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
-    listed = common.pop("component", every)
-    if not isinstance(listed, list) or not 0 < len(listed) <= MOST_SOURCES:
-        raise RecipeError(
-            f"{where}: component: expected up to {MOST_SOURCES} tables [[component]], each with a "
-            f"kind"
-        )
-    weighed = any(isinstance(one, dict) and "weight" in one for one in listed)
-    components = []
-    for n, one in enumerate(listed, start=1):
-        at = f"{where}: component {n}" if where else f"component {n}"
-        if not isinstance(one, dict) or not isinstance(one.get("kind"), str):
-            raise RecipeError(f'{at}: names no kind; add a line such as kind = "rooms"')
-        own = dict(one)
-        kind, weight = own.pop("kind"), own.pop("weight", 1)
-        if weighed and "weight" not in one:
-            raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
-        share = fraction(weight, short(kind), at)
-        tables = _over(common, own)
-        # a seed below 0 is refused later, with the rest
-        drawn = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
-        for values in drawn:
-            _check_domain(tables, values, at)
-            recipe = make_recipe(kind, _over(tables, values), where=at, folder=folder, **given)
-            components.append((recipe, share / len(drawn)))
-    return components
-
-
-def _check_domain(tables: Json, values: Json, at: str) -> None:
-    """Raise RecipeError where a component's `tables` have a parameter that its domain, too, gives
-    `values` of."""
-    for name, row in values.items():
-        table = tables.get(name)
-        if isinstance(table, dict) and (common := table.keys() & row.keys()):
-            raise RecipeError(
-                f"{at}: {name}.{min(common)} has a value and a domain; leave one of them out"
-            )
-
-
-def _over(below: Json, above: Json) -> Json:
-    """The tables `below` with the values of those `above` on top."""
-    found = dict(below)
-    for name, table in above.items():
-        both = isinstance(table, dict) and isinstance(below.get(name), dict)
-        found[name] = below[name] | table if both else table
-    return found
-
-
-def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
-    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
-    with suppress(ValueError, ZeroDivisionError):
-        exact = Fraction("" if isinstance(weight, str) else str(weight))
-        if 0 < exact <= MOST_WEIGHT:
-            return exact
-    raise RecipeError(
-        f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
-        f"{MOST_WEIGHT}"
-    )
+    return place_of(out) if isinstance(out, str) else out
 
 
 def plan_mixed(
-    folder: Path,
+    folder: Place,
     components: Sequence[Component],
     *,
     counts: Mapping[str, int],
     seed: int,
     **options: Any,
-) -> Plan:
-    """Divide `counts` (samples a split) among the components, and into shards of each.
+) -> Plans:
+    """Divide samples among the components of a mixture. Each becomes a dataset in its own
+    subfolder.
 
-    The component's samples are those of the dataset that it would be by itself, with as many
-    samples and its own of the `seeds`. `options` are those of `plan_dataset`. Raises DatasetError,
-    and RecipeError where the components differ in more than their worlds and flights.
+    A component's samples equal those of a dataset of its own with the same number of samples and
+    its seed from `seeds`.
+
+    Args:
+        folder: Folder of the collection.
+        components: Recipes and weights.
+        counts: Number of samples of each split.
+        seed: Seed of the mixture.
+        options: As for `plan_dataset`.
+
+    Returns:
+        The plans.
+
+    Raises:
+        DatasetError: if `folder` is a store.
+        RecipeError: if the components have different grids.
     """
-    weights = [weight for _, weight in components]
-    parts = {split: shares(counts[split], weights) for split in SPLITS}
-    recipes = [recipe for recipe, _ in components]
-    own_seeds = seeds([recipe.kind for recipe in recipes], seed)
-    plans = [
-        plan_dataset(
-            folder,
-            recipe,
-            DrawnWorlds(recipe),
-            counts={split: part[n] for split, part in parts.items()},
-            seed=own_seeds[n],
-            **options,
+    if isinstance(folder, Store):
+        raise DatasetError(
+            f"{folder}: several datasets go to a folder; make each by itself for a store"
         )
-        for n, recipe in enumerate(recipes)
-    ]
-    first = plans[0].parameters
-    for plan, recipe in zip(plans, recipes, strict=True):
-        if difference := unlike(first, plan.parameters):
+    weights = [weight for _, weight in components]
+    by_split = {split: shares(counts[split], weights) for split in SPLITS}
+    recipes = [recipe for recipe, _ in components]
+    component_seeds = seeds([recipe.kind for recipe in recipes], seed)
+    names = folder_names([graded(recipe.kind, recipe.difficulty) for recipe in recipes])
+    plans = []
+    for n, recipe in enumerate(recipes):
+        if recipe.grid != recipes[0].grid:
             raise RecipeError(
-                f"mixed: component {recipe.kind}: {difference} by {recipes[0].kind}; give all "
-                "components the same"
+                f"mixed: component {recipe.kind}: its grid is {recipe.grid}, that of "
+                f"{recipes[0].kind} is {recipes[0].grid}; give all components the same"
             )
-    shards: list[ShardTask] = []
-    for split in SPLITS:
-        index = 0
-        for source, plan in enumerate(plans):
-            stop = 0
-            for shard in (one for one in plan.shards if one.split == split):
-                start, stop = stop, stop + shard.samples
-                more = {"source": source, "start": start, "stop": stop}
-                shards.append(replace(shard, index=index, more=more))
-                index += 1
-    sources = [(plan.parameters, None, [""]) for plan in plans]
-    given = gathered(sources, counts, first["shard_samples"])
-    lidars = tuple(recipe.lidar for recipe in recipes)
-    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidars=lidars)
+        component_counts = {split: divided[n] for split, divided in by_split.items()}
+        # a component with a small weight may get no sample
+        if any(component_counts.values()):
+            source, component_folder = DrawnWorlds(recipe), folder / names[n]
+            plan = plan_dataset(
+                component_folder,
+                recipe,
+                source,
+                counts=component_counts,
+                seed=component_seeds[n],
+                **options,
+            )
+            plans.append(plan)
+    return Plans(folder=folder, datasets=tuple(plans))
 
 
-def seeds(kinds: Iterable[str], seed: int) -> list[int]:
-    """The seeds of components of these kinds: `seed` for the first of a kind, others for those that
-    follow, so that no two draw the same worlds."""
+def folder_names(kinds: Sequence[str]) -> list[str]:
+    """Names of the components' folders. Components of the same kind are numbered."""
+    plain = [kind.rpartition(":")[2] for kind in kinds]
     before: Counter[str] = Counter()
-    found = []
-    for kind in kinds:
-        digest = hashlib.sha256(f"{kind} {before[kind]} {seed}".encode()).digest()
-        found.append(int.from_bytes(digest[:4]) if before[kind] else seed)
-        before[kind] += 1
-    return found
-
-
-def shares(count: int, weights: Sequence[Fraction]) -> list[int]:
-    """`count` in parts by weight: whole numbers, the largest remainders rounded up."""
-    exact = [count * weight / sum(weights) for weight in weights]
-    found = [int(part) for part in exact]
-    order = sorted(range(len(exact)), key=lambda n: found[n] - exact[n])
-    for n in order[: count - sum(found)]:
-        found[n] += 1
-    return found
+    names = []
+    for name in plain:
+        names.append(f"{name}-{before[name]:03d}" if plain.count(name) > 1 else name)
+        before[name] += 1
+    return names

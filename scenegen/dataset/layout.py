@@ -1,103 +1,202 @@
-"""A shard's HDF5 file, held against the format before any sample is read; then read chunk by chunk,
-each into no more bytes than it may have. Reading, resuming, verifying and training all go through
-here."""
+"""HDF5 files of shards: checked when opened, then read chunk by chunk within limits. Reading,
+resuming, verifying and training all use this.
 
-import json
+HDF5 may hang, crash or exhaust memory on a crafted file. `verify` opens shards in a process with
+limits; all other code reads the user's own files, or files that passed `verify`.
+"""
+
 import math
 import sys
-import weakref
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
+import h5py
 import isal.isal_zlib
+import msgspec
 import numpy as np
 
-from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
-from scenegen.dataset.rules import REJECTED, check
-from scenegen.errors import BrokenError, DatasetError, raised_as, short
-from scenegen.files import open_bounded, open_parts, pread, sha256_in, size_of
-from scenegen.sample import DERIVED, FIELDS, Sample, Schema
-
-if TYPE_CHECKING:
-    from scenegen.stores.copies import Copy
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, short
+from scenegen.base.mirrors import fetch
+from scenegen.base.reading import open_bounded, sha256_in, size_of
+from scenegen.draw.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
-"""Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
+"""Name of the HDF5 dataset of the samples' digests, uint8 (N, 32)."""
+ATTRIBUTES = ("split", "first_world", "worlds_sha256", "parameters", "rejected")
+"""Attributes of a shard's file."""
 FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
-TAIL_BYTES, TAIL_BYTES_A_SAMPLE = 1 << 16, 512
-"""What is fetched of a shard first, from its end: about what its index and the small fields of its
-samples take."""
+READ_ERRORS = (
+    isal.isal_zlib.error,
+    EOFError,
+    KeyError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""Errors that reading a damaged file may raise: h5py translates those of the library to many types.
+"""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
-"""Every dataset that a shard has to hold: its type, and the shape of one sample."""
+"""HDF5 datasets of a shard by name: type, and shape of one sample."""
 
 
 def layout_of(fields: Iterable[str], schema: Schema) -> Layout:
-    """The layout of a shard that stores `fields` of samples of that schema."""
-    found = {name: (np.dtype(FIELDS[name]["dtype"]), schema.shape(name)) for name in fields}
-    return {**found, DIGEST: (np.dtype(np.uint8), (32,))}
+    """Layout of a shard.
+
+    Args:
+        fields: Names of the stored fields.
+        schema: Schema of the samples.
+    """
+    columns = {name: (np.dtype(FIELDS[name]["dtype"]), schema.shape(name)) for name in fields}
+    return {**columns, DIGEST: (np.dtype(np.uint8), (32,))}
 
 
 def most_bytes(layout: Layout, samples: int) -> int:
-    """What a shard of `samples` may take on disk, however badly it is packed."""
-    each = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
-    return samples * (each + each // 100) + (1 << 20)
+    """Maximum size of a shard's file, bytes, if nothing in it compresses.
+
+    Args:
+        layout: Layout of the shard.
+        samples: Number of samples.
+    """
+    # 2000 bytes are ample for the header and index entry of a chunk
+    sample_bytes = sum(dtype.itemsize * math.prod(shape) + 2000 for dtype, shape in layout.values())
+    return samples * (sample_bytes + sample_bytes // 100) + (1 << 20)
+
+
+class Rejected(msgspec.Struct):
+    """Attribute `rejected` of a shard: numbers of rejected draws by reason."""
+
+    worlds: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
+    viewpoints: dict[str, Annotated[int, msgspec.Meta(ge=0)]]
+
+
+class Chunks:
+    """Chunks of an HDF5 dataset, read in their stored form.
+
+    Filters are undone here, as HDF5's own are slower, and accept output of any length.
+
+    Args:
+        dataset: The HDF5 dataset.
+
+    Raises:
+        ValueError: if it is not stored in chunks in its file, or uses filters other than `FILTERS`.
+    """
+
+    def __init__(self, dataset: h5py.h5d.DatasetID):
+        plan = dataset.get_create_plist()
+        # other layouts may refer to external files
+        if plan.get_layout() != h5py.h5d.CHUNKED:
+            raise ValueError("is not stored in chunks")
+        self.filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
+        """HDF5's numbers of its filters, in the order of writing."""
+        if not set(self.filters) <= FILTERS or len(set(self.filters)) < len(self.filters):
+            raise ValueError(
+                f"has filters {self.filters}, expected only gzip (1), shuffle (2) and "
+                "fletcher32 (3)"
+            )
+        self.dataset, self.dtype, self.shape = dataset, dataset.dtype, dataset.shape
+        self.chunk: tuple[int, ...] = plan.get_chunk()
+        """Shape of a chunk."""
+        self.bytes = self.dtype.itemsize * math.prod(self.chunk)
+        """Unpacked size of a chunk."""
+
+    def read(self, offset: tuple[int, ...]) -> bytes:
+        """Read the chunk whose first element is at `offset`.
+
+        Raises:
+            ValueError: if it does not unpack to the expected size; or another of `READ_ERRORS`.
+        """
+        skipped_filters, data = self.dataset.read_direct_chunk(offset)
+        # deflate never grows data by more than this
+        if len(data) > self.bytes + self.bytes // 100 + 1000:
+            raise ValueError(f"{len(data)} bytes are stored for {self.bytes}")
+        for position in reversed(range(len(self.filters))):  # undo the last filter first
+            # HDF5 marks by bits the filters that were skipped for a chunk
+            if skipped_filters >> position & 1:
+                continue
+            number = self.filters[position]
+            if number == FLETCHER32:
+                data = data[:-4]  # the checksum is ignored: samples have stronger digests
+            elif number == SHUFFLE:
+                data = np.frombuffer(data, np.uint8).reshape(self.dtype.itemsize, -1).T.tobytes()
+            elif number == DEFLATE:
+                decompressor = isal.isal_zlib.decompressobj()
+                # a limit on the output: a small chunk could unpack to gigabytes
+                data = decompressor.decompress(data, self.bytes + 8)
+                if not decompressor.eof:
+                    raise ValueError("more or fewer bytes than it should")
+        if len(data) != self.bytes:
+            raise ValueError(f"{len(data)} bytes, expected {self.bytes}")
+        return data
 
 
 @dataclass(frozen=True, eq=False)
 class ShardFile:
-    """An open shard whose layout is as the format says. Any number of threads may read from it."""
+    """An open shard with a valid layout. Any number of threads may read it; a forked process must
+    open it again. The file is closed when the last reference is gone."""
 
-    file: "BufferedReader | Copy"
+    file: h5py.File
     name: str
-    columns: Mapping[str, Stored]
-    """The file's HDF5 datasets by name: N chunks each, one a sample."""
+    columns: Mapping[str, Chunks]
+    """The file's HDF5 datasets by name, with one chunk for each sample."""
     attributes: Mapping[str, int | str | None]
-
-    @property
-    def fetched(self) -> bool:
-        """Whether what is read of it comes from a store, and was not held against the manifest's
-        digest as a whole."""
-        return not isinstance(self.file, BufferedReader)
+    """`ATTRIBUTES`; None for one that is missing, or neither an integer nor text."""
 
     def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
-        """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can
-        be written.
+        """Read a field of one sample.
 
-        Raises BrokenError for a chunk that does not unpack to just what it should.
+        Args:
+            name: The field.
+            row: Number of the sample in the shard.
+            read_only: Whether the array may be read-only, which saves a copy. Kernels are compiled
+                for writable arrays.
+
+        Returns:
+            An array, or a scalar.
+
+        Raises:
+            BrokenError: if the chunk cannot be unpacked, or a flag is neither 0 nor 1.
         """
         column, where = self.columns[name], f"{self.name}: sample {row}: {name}"
-        _, begin, size, left_out = column.places[row].tolist()
-        failed = (isal.isal_zlib.error, EOFError, ValueError, OSError)
-        with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=failed):
-            raw = unpack(pread(self.file, size, begin), column, left_out)
-        flags = column.dtype == np.bool_
+        with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=READ_ERRORS):
+            raw = column.read((row,) + (0,) * (len(column.shape) - 1))
+        is_bool = column.dtype == np.bool_
         values = np.frombuffer(
-            raw if read_only else bytearray(raw), np.uint8 if flags else column.dtype
+            raw if read_only else bytearray(raw), np.uint8 if is_bool else column.dtype
         )
-        if flags and values.max(initial=0) > 1:
+        # numpy's results are undefined for other bytes in a bool array
+        if is_bool and values.max(initial=0) > 1:
             raise BrokenError(f"{where} holds bytes other than 0 and 1")
         # a single value is a number, and no array
         return values.view(column.dtype).reshape(column.shape[1:])[()]
 
     def column(self, name: str) -> np.ndarray:
-        """A field of all samples, (N, ...). Raises BrokenError."""
-        rows = range(len(self.columns[name].places))
+        """Read a field of all samples, (N, ...). Raises BrokenError."""
+        rows = range(self.columns[name].shape[0])
         return np.stack([self.value(name, row, read_only=True) for row in rows])
 
     def check(self, row: int) -> None:
-        """Raise BrokenError unless a sample has the digest that stands beside it; fields that
-        follow from others have no part in it."""
-        nothing: dict[str, Any] = {name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED}
+        """Compare a sample with its stored digest. Derived fields are not covered.
+
+        Args:
+            row: Number of the sample in the shard.
+
+        Raises:
+            BrokenError: if they differ.
+        """
+        placeholders: dict[str, Any] = {
+            name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED
+        }
         stored = [name for name in self.columns if name not in (DIGEST, *DERIVED)]
         values = {name: self.value(name, row, read_only=True) for name in stored}
-        sample = Sample(**nothing, **values)
+        sample = Sample(**placeholders, **values)
         if sample.sha256() != self.value(DIGEST, row).tobytes():
             raise BrokenError(
                 f"{self.name}: sample {row}: its content does not have the digest stored beside it"
@@ -105,139 +204,136 @@ class ShardFile:
 
     @property
     def stray_bytes(self) -> int:
-        """Bytes of the file beyond those of samples and what the format needs at most: an index
-        entry a chunk, and some kilobytes."""
-        stored = sum(int(column.places[:, 2].sum()) for column in self.columns.values())
-        entries = sum(len(column.places) for column in self.columns.values())
-        return max(size_of(self.file) - stored - 200 * entries - (1 << 20), 0)
+        """Bytes of the file beyond its chunks and the overhead of the format (an index entry for
+        each chunk, and some kilobytes)."""
+        stored = sum(column.dataset.get_storage_size() for column in self.columns.values())
+        entries = sum(column.shape[0] for column in self.columns.values())
+        return max(self.file.id.get_filesize() - stored - 200 * entries - (1 << 20), 0)
 
     def check_origin(self, **expected: int | str) -> None:
-        """Raise BrokenError where an attribute of the shard is not as `expected`."""
+        """Compare attributes with the manifest.
+
+        Args:
+            expected: Expected values by the attribute's name.
+
+        Raises:
+            BrokenError: if one differs.
+        """
         for name, value in expected.items():
-            if self.attributes.get(name) != value:
+            if self.attributes[name] != value:
                 raise BrokenError(
-                    f"{self.name}: was written with {name} {short(self.attributes.get(name))}, "
+                    f"{self.name}: was written with {name} {short(self.attributes[name])}, "
                     f"the manifest's is "
                     f"{value!r}: one of the two was edited, or the shard is another dataset's"
                 )
 
     def rejected(self) -> dict[str, Counter[str]]:
-        """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
-        text = self.attributes.get("rejected")
+        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises BrokenError."""
+        text = self.attributes["rejected"]
         fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
-        failed = (ValueError, TypeError, RecursionError, BrokenError)
-        with raised_as(lambda _: BrokenError(fault), of=failed):
-            given = json.loads(text)  # type: ignore[arg-type]
-            check(given, REJECTED, "")
-        return {what: Counter(given[what]) for what in REJECTED}
-
-
-def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
-    """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come
-    out as there must."""
-    data, size = packed, column.row_bytes
-    for place in reversed(range(len(column.filters))):
-        if left_out >> place & 1:
-            continue
-        number = column.filters[place]
-        if number == FLETCHER32:
-            data = data[:-4]  # its checksum is not looked at: the samples' digests are better ones
-        elif number == SHUFFLE:
-            data = np.frombuffer(data, np.uint8).reshape(column.dtype.itemsize, -1).T.tobytes()
-        elif number == DEFLATE:
-            unpacking = isal.isal_zlib.decompressobj()
-            data = unpacking.decompress(data, size + 8)
-            if not unpacking.eof:
-                raise ValueError("more or fewer bytes than it should")
-    if len(data) != size:
-        raise ValueError(f"{len(data)} bytes, expected {size}")
-    return data
+        errors = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors
+        with raised_as(lambda _: BrokenError(fault), of=errors):
+            counts = msgspec.json.decode(str(text), type=Rejected)
+        return {"worlds": Counter(counts.worlds), "viewpoints": Counter(counts.viewpoints)}
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, and no pipe that would never end. Raises BrokenError, and StoreError."""
-    with _listed(path):
+    """Open a regular file; in a mirror, it is fetched first.
+
+    Raises:
+        BrokenError: if it is missing or cannot be read.
+        StoreError: if it cannot be fetched.
+    """
+    fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
+    with raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError)):
+        fetch(path)
         return open_bounded(path, sys.maxsize)
 
 
-def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
-    """`open_file` for a shard; of a copy that is not whole, what is read of it is fetched."""
-    with _listed(path):
-        return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
-
-
-def _listed(path: Path) -> AbstractContextManager[None]:
-    fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
-    return raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError))
-
-
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
-    """Raise BrokenError unless the file called `name` has the SHA-256 that the manifest lists."""
+    """Compare a file with the manifest.
+
+    Args:
+        file: The open file.
+        name: Its name, for messages.
+        sha256: The SHA-256 in the manifest.
+
+    Raises:
+        BrokenError: if they differ.
+    """
     if sha256_in(file) != sha256:
         raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 
-def open_shard(
-    file: "BufferedReader | Copy", path: Path, samples: int, layout: Layout
-) -> ShardFile:
-    """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once
-    nobody holds the shard any more. Raises BrokenError with what is wrong."""
-    try:
-        shard = _checked(file, path.name, samples, layout)
-    except BaseException:
-        file.close()
-        raise
-    weakref.finalize(shard, file.close)
-    return shard
+def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
+    """Open a shard for reading.
+
+    Args:
+        path: A local file.
+        samples: Expected number of samples.
+        layout: Expected HDF5 datasets; others are refused.
+
+    Raises:
+        BrokenError: if the file is missing, damaged, or has another layout.
+    """
+    with open_file(path) as file:
+        size, limit = size_of(file), most_bytes(layout, samples)
+    if size > limit:
+        raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {limit} at most")
+    # the size is checked first, so that HDF5 never opens a file of unexpected size
+    with raised_as(BrokenError, f"{path.name}: is damaged: ", of=READ_ERRORS):
+        # HDF5's cache of chunks, which `Chunks` reads past, would take 0.7 MB a shard
+        opened = h5py.File(path, "r", rdcc_nbytes=0, rdcc_nslots=1)
+        try:
+            return _checked(opened, path.name, samples, layout)
+        # also when the run is stopped: HDF5 would keep the file open
+        except BaseException:
+            opened.close()
+            raise
 
 
-def _checked(file: "BufferedReader | Copy", name: str, samples: int, layout: Layout) -> ShardFile:
-    """The shard in `file`, which errors call `name`."""
-    size, most = size_of(file), most_bytes(layout, samples)
-    if size > most:
-        raise BrokenError(f"{name}: {size} bytes, {samples} samples take {most} at most")
-    with raised_as(BrokenError, f"{name}: is damaged: ", of=Hdf5Error):
-        index = read_index(file, samples)
-    if odd := sorted(set(index.objects) ^ set(layout)):
-        named = ", ".join(short(one)[1:-1] for one in odd)
-        raise BrokenError(f"{name}: {named}: there or missing, expected just {', '.join(layout)}")
+def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardFile:
+    """Check the layout of an open file. `name` is its name in messages."""
+    if unexpected := sorted(set(file) ^ set(layout)):
+        listed = ", ".join(short(field)[1:-1] for field in unexpected)
+        raise BrokenError(f"{name}: {listed}: there or missing, expected just {', '.join(layout)}")
     columns = {}
     for field, (dtype, shape) in layout.items():
-        stored = columns[field] = index.objects[field]
-        if stored.dtype != dtype or stored.shape != (samples, *shape):
+        where = f"{name}: {field}"
+        with raised_as(BrokenError, f"{where} ", of=READ_ERRORS):
+            column = columns[field] = Chunks(_dataset(file, field))
+        if column.dtype != dtype or column.shape != (samples, *shape):
             raise BrokenError(
-                f"{name}: {field} is {stored.dtype} {stored.shape[:4]}, expected {dtype} "
+                f"{where} is {column.dtype} {column.shape[:4]}, expected {dtype} "
                 f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
                 "sensor's shape"
             )
-        _check_chunks(stored, size, f"{name}: {field}")
-    return ShardFile(file, name, columns, index.attributes)
+        # other chunks could make reading one sample unpack the whole file
+        if column.chunk != (1, *shape):
+            raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
+        if (stored := column.dataset.get_num_chunks()) != samples:
+            raise BrokenError(f"{where}: {stored} of {samples} samples are stored")
+    attributes = {attribute: _attribute(file.attrs, attribute) for attribute in ATTRIBUTES}
+    return ShardFile(file, name, columns, attributes)
 
 
-def _check_chunks(stored: Stored, size: int, where: str) -> None:
-    """Raise BrokenError unless each sample has a chunk that can be its own, of a file of `size`
-    bytes."""
-    samples, *shape = stored.shape
-    if stored.chunk != (1, *shape):
-        raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
-    odd = set(stored.filters) - FILTERS
-    if odd or len(set(stored.filters)) < len(stored.filters):
-        raise BrokenError(
-            f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and "
-            f"fletcher32 (3)"
-        )
-    places = stored.places
-    if not np.array_equal(places[:, 0], np.arange(samples)):
-        raise BrokenError(
-            f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored, or in "
-            "another order"
-        )
-    most = stored.row_bytes + stored.row_bytes // 100 + 1000
-    wrong = (places[:, 1:3] < 0).any(axis=1) | (
-        places[:, 2] > np.minimum(most, size - places[:, 1])
-    )
-    if wrong.any():
-        row, begin, length, _ = places[wrong][0].tolist()
-        raise BrokenError(
-            f"{where}: sample {row}: {length} bytes at byte {begin} cannot be its own"
-        )
+def _dataset(file: h5py.File, name: str) -> h5py.h5d.DatasetID:
+    """Open an HDF5 dataset. Raises ValueError if the name is a link or another object."""
+    # checked before the object is opened: an external link could name any file of this machine
+    if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
+        raise ValueError("is a link to elsewhere; only data of its own may be in a shard")
+    dataset = h5py.h5o.open(file.id, name.encode())
+    if not isinstance(dataset, h5py.h5d.DatasetID):
+        raise ValueError("is not a dataset")
+    return dataset
+
+
+def _attribute(attributes: h5py.AttributeManager, name: str) -> int | str | None:
+    # scalars only: anything else counts as missing, which `check_origin` reports
+    if name not in attributes or attributes.get_id(name).shape != ():
+        return None
+    value = attributes[name]
+    if isinstance(value, np.integer):
+        return int(value)
+    text = value.decode() if isinstance(value, bytes) else value
+    return text if isinstance(text, str) else None

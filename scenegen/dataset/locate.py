@@ -1,6 +1,6 @@
-"""Where a dataset is: a folder as it stands, ``hf://user/name[@revision]``, downloaded from the
-Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied when they are
-read."""
+"""Find the local folder of a dataset: a path as it is, ``hf://user/name[@revision]`` downloaded
+from the Hugging Face Hub, or a mirror of a store, ``s3://bucket/folder``, whose files are fetched
+on first use."""
 
 import contextlib
 import os
@@ -9,32 +9,42 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from scenegen.dataset import manifest, trust
-from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.rules import pattern_of
-from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import read_bounded, sha256_in
-from scenegen.limits import MOST_MANIFEST_BYTES
-from scenegen.stores import LOCATED, folder_of, is_remote
+from scenegen.base.errors import DatasetError, StoreError, needs, printable
+from scenegen.base.executors import LOCATED
+from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.mirrors import fetch_all, make_mirror, note_files
+from scenegen.base.reading import sha256_in
+from scenegen.base.stores import Store, is_remote
+from scenegen.dataset import manifest
+from scenegen.dataset.parameters import rays_digest
+from scenegen.dataset.schema import NAME, pattern_of
 
-os.environ.setdefault(
-    "HF_HUB_DISABLE_TELEMETRY", "1"
-)  # read when the Hub's client is imported, which is later
+# the Hub's client reads this when it is imported, which is later
+os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
 
 SCHEME = "hf://"
 REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.ASCII)
 REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
 TOKEN = re.compile(r"hf_(?:jwt_|oauth_)?[A-Za-z0-9][A-Za-z0-9.~+/=-]{7,}")
-"""What a token for the Hub looks like."""
+"""Pattern of tokens for the Hub."""
 MANY = 1000
-"""Files from which on they are asked for by patterns."""
+"""Number of files from which on they are requested by patterns instead of names."""
 TIMEOUT_S = 20.0
-"""After which a silent Hub counts as out of reach, seconds."""
+"""Timeout of the Hub, seconds."""
 
 
 def parse(name: str) -> tuple[str, str | None]:
-    """Repository and revision (None: the newest) of ``hf://user/name[@revision]``. Raises
-    DatasetError."""
+    """Split ``hf://user/name[@revision]``.
+
+    Args:
+        name: The URL.
+
+    Returns:
+        Repository, and revision or None for the newest.
+
+    Raises:
+        DatasetError: if the URL is malformed.
+    """
     repository, at, revision = name.removeprefix(SCHEME).partition("@")
     if (
         not REPOSITORY.fullmatch(repository)
@@ -48,78 +58,78 @@ def parse(name: str) -> tuple[str, str | None]:
 
 
 def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = False) -> Path:
-    """The folder of a dataset on this machine. A path comes back as it is; only a name with a
-    scheme is looked for.
+    """Find the local folder of a dataset. Paths are returned unchanged.
 
-    ``hf://…`` is downloaded: see `download`. Of any other place the manifest is, into a folder of
-    copies (see `scenegen.stores.cache`), where every other file comes to lie when it is first
-    opened, or all of them now, with `whole`. Raises DatasetError and StoreError.
+    ``hf://…`` is downloaded; see `download`. Of a store, only the manifest is fetched into a mirror
+    (see `scenegen.base.mirrors`); shards follow on first use.
+
+    Args:
+        name: A path or a URL.
+        shown: Whether a download shows its progress.
+        whole: Whether all files of a store are fetched now.
+
+    Raises:
+        DatasetError: if there is no dataset.
+        StoreError: if the store fails.
     """
     if not is_remote(name):
         return Path(name)
     if str(name).startswith(SCHEME):
-        found = download(str(name), shown=shown)
-        commit = f"{SCHEME}{parse(str(name))[0]}@{found.name}"
-        LOCATED[found] = locate_again, commit, found.name
-        return found
-    from scenegen.stores.cache import fetch_all, keep, note
-
-    place = folder_of(str(name))
+        folder = download(str(name), shown=shown)
+        commit = f"{SCHEME}{parse(str(name))[0]}@{folder.name}"
+        LOCATED[folder] = locate_again, commit, folder.name
+        return folder
+    store = Store(str(name))
     try:
-        content = read_bounded(place / manifest.NAME, MOST_MANIFEST_BYTES)
+        content = store.read(NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
-            f"{name}: not a dataset, it has no {manifest.NAME}; make one with `scenegen generate "
+            f"{name}: not a dataset, it has no {NAME}; make one with `scenegen generate "
             f"--out {name}`"
         ) from None
-    folder = keep(str(place), manifest.NAME, content)
-    listed = trust.load(folder, str(name)).files  # checked before they are used as names
-    note(folder, str(place), listed)
-    if whole:
-        fetch_all(folder, listed)
-    LOCATED[folder] = locate_again, str(place), folder.name
+    folder = make_mirror(store, NAME, content)
+    # parsing checks the names of files, before they are used as paths
+    document = manifest.load(folder, str(name))
+    note_files(folder, store, document.files)
+    fetch_all(folder, document.files if whole else rays_digest(document.tables.lidar))
+    LOCATED[folder] = locate_again, store.url, folder.name
     return folder
-
-
-def load(dataset: str | os.PathLike[str], split: str = "train", *, whole: bool = False) -> Split:
-    """The samples of a split, read when asked for, without a copy in memory.
-
-    Args:
-        dataset: A `Dataset`, a folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``,
-            which is copied once and checked.
-        split: "train", "val" or "test".
-        whole: Fetch each shard from a store whole, in one request, when it is opened: for who reads
-            most samples. Otherwise what is read is fetched.
-
-    Returns:
-        A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
-        spawned, each of which opens the files for itself; its `describe()` gives names, types,
-        shapes, units and meanings of the fields.
-
-    Raises:
-        DatasetError: There is no such dataset or split, or it is incomplete or damaged.
-    """
-    return Dataset(locate(dataset), whole=whole).split(split)
 
 
 @cache
 def locate_again(name: str, folder: str) -> Path:
-    """`locate` on another machine, once a process. The manifest, after which the `folder` is
-    called, must be the same; raises StoreError where it is not, and as `locate`."""
-    found = locate(name)
-    if found.name != folder:
+    """Call `locate` on another machine, once per process.
+
+    Args:
+        name: URL of the dataset.
+        folder: Name of the first machine's folder, which identifies the manifest.
+
+    Raises:
+        StoreError: if the manifest has changed since. Errors of `locate` pass through.
+    """
+    located = locate(name)
+    if located.name != folder:
         raise StoreError(
             f"{name}: has changed since the command was given; give the same command again"
         )
-    return found
+    return located
 
 
 def download(name: str, *, shown: bool) -> Path:
-    """The folder of a dataset on the Hub.
+    """Download a dataset from the Hub into the client's cache.
 
-    What the Hub has is downloaded into the client's usual cache by revision, no file but those that
-    the manifest lists, and held against the manifest's SHA-256s at every call; with `shown`, the
-    client shows how far it has come. Raises DatasetError.
+    Only files in the manifest are downloaded. They are compared with its SHA-256 sums at every
+    call.
+
+    Args:
+        name: The URL.
+        shown: Whether the client shows its progress.
+
+    Returns:
+        The folder of the revision.
+
+    Raises:
+        DatasetError: if the download fails, or a file differs.
     """
     repository, revision = parse(name)
     try:
@@ -137,12 +147,13 @@ def download(name: str, *, shown: bool) -> Path:
     try:
         with client_output(shown):
             _check_listing(repository, revision)
-            folder = fetch(revision, manifest.NAME)
-            listed = trust.load(folder, name).files  # checked before they are used as names
-            # the client holds every file against every name: of many, their patterns are enough
+            folder = fetch(revision, NAME)
+            # parsing checks the names of files, before they are used as paths
+            listed = manifest.load(folder, name).files
+            # The client compares every file with every name, which is quadratic: patterns serve.
             names = listed if len(listed) < MANY else {*map(pattern_of, listed)}
-            # by commit, whose name the folder bears: should the branch move on, nothing is mixed
-            folder = fetch(folder.name, manifest.NAME, *names)
+            # the folder is named by its commit: files of a newer commit are not mixed in
+            folder = fetch(folder.name, NAME, *names)
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises
@@ -155,8 +166,7 @@ def download(name: str, *, shown: bool) -> Path:
 
 @contextlib.contextmanager
 def client_output(shown: bool) -> Iterator[None]:
-    """Whether the Hub's client shows its progress; it never gives advice, which would be about
-    itself."""
+    """Show or hide the progress of the Hub's client. Its advice is always hidden."""
     from huggingface_hub.utils import logging
     from huggingface_hub.utils.tqdm import (
         are_progress_bars_disabled,
@@ -164,21 +174,30 @@ def client_output(shown: bool) -> Iterator[None]:
         enable_progress_bars,
     )
 
-    before, let_be = logging.get_verbosity(), shown or are_progress_bars_disabled()
+    # the user's own settings of the client are restored afterwards
+    verbosity, keep_bars = logging.get_verbosity(), shown or are_progress_bars_disabled()
     logging.set_verbosity_error()
-    if not let_be:
+    if not keep_bars:
         disable_progress_bars()
     try:
         yield
     finally:
-        logging.set_verbosity(before)
-        if not let_be:
+        logging.set_verbosity(verbosity)
+        if not keep_bars:
             enable_progress_bars()
 
 
 def check_files(folder: Path, files: dict[str, str], name: str) -> None:
-    """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the
-    first that differs."""
+    """Compare files with the manifest.
+
+    Args:
+        folder: The folder.
+        files: SHA-256 of each file, by name.
+        name: Name of the dataset, for messages.
+
+    Raises:
+        DatasetError: if a file is missing or differs.
+    """
 
     from concurrent.futures import ThreadPoolExecutor  # for the Hub alone; importing it takes time
 
@@ -189,7 +208,7 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
         for file, wrong in zip(files, pool.map(differs, files), strict=True):
             if wrong:
                 raise DatasetError(
-                    f"{name}: {file} is not the file that {manifest.NAME} lists; delete "
+                    f"{name}: {file} is not the file that {NAME} lists; delete "
                     f"{folder.parents[1]} to download it anew, or ask its publisher"
                 )
 
@@ -201,25 +220,24 @@ def file_sha256(path: Path) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """The first paragraph of what the Hub's client says, and who says it, in one line and without
-    any token: a server may repeat what it was sent."""
-    said = without_tokens(str(error).split("\n\n")[0])
-    return f"{type(error).__name__}: {said[:300]}" if said else type(error).__name__
+    """Describe an error of the Hub's client in one line: its type and first paragraph, without
+    tokens, which a server may echo."""
+    message = without_tokens(str(error).split("\n\n")[0])
+    return f"{type(error).__name__}: {message[:300]}" if message else type(error).__name__
 
 
-def without_tokens(said: object) -> str:
-    """What was said, as one printable line, without the user's token for the Hub and whatever else
-    looks like one."""
+def without_tokens(text: object) -> str:
+    """Make one printable line without the user's token for the Hub, and without anything that looks
+    like a token."""
     from huggingface_hub import get_token
 
-    return TOKEN.sub("…", printable(said).replace(get_token() or "\0", "…"))
+    return TOKEN.sub("…", printable(text).replace(get_token() or "\0", "…"))
 
 
 def _check_listing(repository: str, revision: str | None) -> None:
-    """Refuse, before anything is downloaded, a repository without a manifest, or with one too large
-    to be ours.
+    """Check, before the download, that a repository has a manifest of possible size.
 
-    Without network there is nothing to ask: the client then looks into its cache.
+    Without network the check is skipped, and the client uses its cache.
     """
     from huggingface_hub import HfApi, constants
     from huggingface_hub.errors import HfHubHTTPError
@@ -232,17 +250,12 @@ def _check_listing(repository: str, revision: str | None) -> None:
         )
     except HfHubHTTPError:
         raise
-    except (
-        Exception
-    ):  # each version of the client has its own errors for a network that is not there
+    except Exception:  # versions of the client raise different errors without a network
         return
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
-    if manifest.NAME not in sizes:
+    if NAME not in sizes:
+        raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {NAME}")
+    if sizes[NAME] > MOST_MANIFEST_BYTES:
         raise DatasetError(
-            f"{SCHEME}{repository}: not a scenegen dataset, it has no {manifest.NAME}"
-        )
-    if sizes[manifest.NAME] > MOST_MANIFEST_BYTES:
-        raise DatasetError(
-            f"{SCHEME}{repository}: its {manifest.NAME} has {sizes[manifest.NAME]} bytes; that is "
-            f"no manifest of ours"
+            f"{SCHEME}{repository}: its {NAME} has {sizes[NAME]} bytes; that is no manifest of ours"
         )

@@ -1,229 +1,79 @@
-"""The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
-checks its values."""
+"""The manifest, `dataset.json`: how it is read and written.
+
+`scenegen.dataset.schema` defines the file's schema, `scenegen.dataset.contract` the objects made
+from it. A manifest may come from an untrusted source: every value is checked before it is used, and
+no module is imported because a manifest names it.
+"""
 
 import difflib
 import json
 import re
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from lidarsim.engines import DEFAULT, MUJOCO
-from lidarsim.parameters import MOST_SHOWN
-from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import DatasetError, StoreError, printable, short, whole_number
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
-from scenegen.limits import (
-    MOST_DEPTH,
-    MOST_MANIFEST_BYTES,
-    MOST_SAMPLES_IN_SHARD,
-    MOST_SEED,
-    USUAL_IN_SHARD,
+import msgspec
+from msgspec import Struct
+
+from scenegen import __version__
+from scenegen.base.errors import (
+    BrokenError,
+    DatasetError,
+    NewerError,
+    StoreError,
+    printable,
+    short,
 )
-from scenegen.run.software import software
-from scenegen.stores import ConflictError
-
-if TYPE_CHECKING:  # these draw worlds, and import what that takes
-    from scenegen.dataset.shard import ShardReport
-    from scenegen.recipe import Recipe
-    from scenegen.source import Source
-
-NAME = "dataset.json"
-FORMAT = "scenegen-dataset"
-VERSION = 1
-"""The major version of the format."""
-VERSIONS = (VERSION, 1.2, 1.3, 1.4, "1.5", "1.6")
-"""All of the format, as they stand in the file, in order; from 1.5 on as text, for 1.10 is no
-1.1."""
-SINCE: Mapping[str, int | float | str] = {
-    **{part.name: part.since for part in PARTS},
-    **{"rescan": 1.2, "sources": 1.4, "differ": "1.6"},
-}
-"""Entries, and the first version of the format that has them: a manifest is of the latest one that
-any of its entries asks for, and readers of earlier versions refuse it. Whatever they would refuse
-is to raise the version."""
-
-MINOR = tuple(name for name, since in SINCE.items() if since != VERSION)
-"""Entries that raise a manifest's version."""
-UNNAMED: Json = {"generator": 1, "engine": MUJOCO}
-BEFORE: Json = {**UNNAMED, **dict.fromkeys(MINOR)}
-"""What a manifest says by not naming it."""
-OF_SHARDS = ("complete", "shards", "rejected", "digest")
-"""What a manifest says besides the dataset's parameters."""
-ALIKE = ("format", "generator", "fields", *NAMES)
-"""Parameters in which all datasets agree whose samples are in one, but for those that `differ`
-names."""
-MAY_DIFFER = ("fields", "lidar", "noise", "mapping")
-"""Those that it may name."""
-SEVERAL = "several"
-"""What a manifest says for a text in which the datasets differ that its samples were made for."""
+from scenegen.base.files import write_whole
+from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.reading import sha256_of
+from scenegen.base.stores import ConflictError, Place, Store, read_at
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.schema import (
+    FORMAT,
+    NAME,
+    VERSION,
+    Document,
+    to_json,
+)
 
 
-def parameters(
-    recipe: "Recipe",
-    source: "Source",
-    *,
-    seed: int,
-    counts: Mapping[str, int],
-    compact: bool = False,
-    shard_samples: int = USUAL_IN_SHARD,
-    engine: str = DEFAULT,
-) -> Json:
-    """The part of the manifest that is known before anything is drawn, and decides everything
-    after.
+def encode(manifest: Document) -> bytes:
+    """Content of the file."""
+    return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
 
-    Args:
-        recipe: What samples hold.
-        source: Where worlds come from.
-        seed: What everything is drawn by.
-        counts: Samples of each split.
-        compact: Whether fields that follow from others are left out.
-        shard_samples: About how many samples a shard has.
-        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
+
+def write(folder: Place, manifest: Manifest) -> None:
+    """Replace the manifest of a folder; at a store, the version that was read last.
+
+    If another run replaced it meanwhile, a complete manifest stays, and an incomplete one is
+    replaced. Manifests of such runs differ only in the shards that they list.
 
     Raises:
-        DatasetError: A number is beyond those that readers take.
+        StoreError: if the other manifest has other parameters, or completes the dataset with other
+            bytes.
     """
-    more, scenes = entries(recipe), source.describe()
-    return {
-        "format": FORMAT,
-        "version": version_of(more),
-        "generator": GENERATOR,
-        "kind": recipe.kind,
-        "seed": whole_number("--seed", seed, 0, MOST_SEED),
-        "counts": {split: counts[split] for split in SPLITS},
-        "recipe": plain(recipe.resolved() | ({"scenes": scenes} if scenes else {})),
-        "fields": list(schema_of(recipe).stored(compact=compact)),
-        **more,
-        "shard_samples": whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD),
-        **({} if engine == MUJOCO else {"engine": engine}),
-        "software": software(),
-    }
-
-
-def version_of(given: Json) -> int | float | str:
-    """The version of a manifest that has the entries `given`, as it stands in the file."""
-    asked = [since for name, since in SINCE.items() if given.get(name) is not None]
-    return max((VERSION, *asked), key=VERSIONS.index)
-
-
-def is_later(document: Json) -> bool:
-    """Whether a manifest says that a later version of scenegen wrote it."""
-    software = document.get("software")
-    said = software.get("scenegen") if isinstance(software, dict) else ""
-    theirs, ours = (
-        list(map(int, re.findall(r"[0-9]{1,9}", str(one)[:50]))) for one in (said, __version__)
-    )
-    return theirs > ours
-
-
-def _pair(version: Any) -> tuple[int, ...]:
-    """A version as whole numbers, major first; (0, 0) for what is none."""
-    numbers = re.fullmatch(r"([0-9]{1,9})(?:\.([0-9]{1,9}))?", short(version).strip("'"))
-    return (int(numbers[1]), int(numbers[2] or 0)) if numbers else (0, 0)
-
-
-def parameters_of(document: Json) -> Json:
-    """The `parameters` of a manifest, as they stand in it: all that it does not say of its
-    shards."""
-    return {name: value for name, value in document.items() if name not in OF_SHARDS}
-
-
-def completed(document: Json) -> Json:
-    """The `parameters` of a manifest, with the generator and the engine, where it does not name
-    them."""
-    return {**UNNAMED, **parameters_of(document)}
-
-
-def fingerprint(given: Json) -> str:
-    """A digest of `parameters`, the same for the same dataset."""
-    return sha256_of(json.dumps(given, sort_keys=True).encode())
-
-
-def differing(given: Json, others: Iterable[Json]) -> list[str]:
-    """Those of `ALIKE` in which `others` are not as the parameters `given`."""
-    return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
-
-
-def differences(
-    there: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
-) -> list[str]:
-    """Where two sets of parameters differ.
-
-    Args:
-        there: The first set.
-        asked: The second set.
-        words: What the values of the first and of the second set are called.
-        prefix: Stands before every name.
-
-    Returns:
-        Lines such as "grid.voxel is 0.2 there, 0.1 asked for": nested names are joined by dots, and
-        the items of a list of tables named by their places.
-    """
-    found = []
-    for name in [*there, *(name for name in asked if name not in there)]:
-        old, new = (_numbered(given.get(name, "absent")) for given in (there, asked))
-        if isinstance(old, dict) and isinstance(new, dict):
-            found += differences(old, new, words, f"{prefix}{name}.")
-        elif old != new:
-            found.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} {words[0]}, "
-                f"{_said(new)} {words[1]}"
-            )
-    return found
-
-
-def _numbered(value: Any) -> Any:
-    """A list of tables as a table of them by their places; anything else as it is."""
-    tables = isinstance(value, list) and value and isinstance(value[0], dict)
-    return dict(enumerate(value)) if tables else value
-
-
-def _said(value: Any) -> str:
-    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
-    text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
-
-
-def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -> Json:
-    """The manifest of the shards reported, in order."""
-    rejected = {
-        what: sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
-        for what in ("worlds", "viewpoints")
-    }
-    digest = sha256_of(b"".join(report.digests for report in reports))
-    return {
-        **given,
-        "complete": complete,
-        "shards": [report.entry() for report in reports],
-        "rejected": {what: dict(sorted(counts.items())) for what, counts in rejected.items()},
-        "digest": digest if complete else None,
-    }
-
-
-def write(folder: Path, manifest: Json) -> None:
-    """Replace the manifest of `folder`; at a place, the one that was read last.
-
-    If another run has put one there meanwhile, a complete one stays, and this one takes the place
-    of any other; they may list other shards, but none differently. Raises StoreError where it is of
-    another dataset.
-    """
-    content = (json.dumps(manifest, indent=1) + "\n").encode()
-    while True:  # until no other run puts one between
+    content = encode(manifest)
+    if not isinstance(folder, Store):
+        write_whole(folder / NAME, content)
+        return
+    while True:  # until no other run replaces it in between
         try:
-            write_whole(folder / NAME, content)
+            folder.replace(NAME, content)
             return
         except ConflictError:
-            there = read(folder)
-        if parameters_of(there) != parameters_of(manifest):
+            stored = read_content(folder)
+        # our own request succeeded, and its answer was lost
+        if stored == content:
+            return
+        stored_manifest = parse(stored)
+        if stored_manifest.parameters != manifest.parameters:
             raise StoreError(
                 f"{folder}: another run has begun another dataset there; choose another --out for "
                 f"one"
             )
-        if there["complete"]:
-            if manifest["complete"]:
+        if stored_manifest.complete:
+            if manifest.complete:
                 raise StoreError(
                     f"{folder}: another run has completed it with other bytes; give the same "
                     f"command again"
@@ -231,57 +81,124 @@ def write(folder: Path, manifest: Json) -> None:
             return
 
 
-def read(folder: Path, name: str = "") -> Json:
-    """The manifest of `folder`, which errors call `name`, as it stands there, its values unchecked.
+class _Head(Struct):
+    """Entries that are read first, to distinguish other files and other versions from damaged
+    files."""
 
-    Raises DatasetError where it has none that this version can read.
+    format: Any = None
+    version: Any = None
+    software: Any = None
+
+
+def parse(content: bytes, folder: Path = Path(), named: str | None = None) -> Manifest:
+    """Parse and check a manifest.
+
+    Args:
+        content: The file.
+        folder: Its folder.
+        named: A user's own kind that may be imported.
+
+    Raises:
+        BrokenError: if it is damaged. The message has the location, the value, and what was
+            expected.
+        NewerError: if a newer scenegen wrote it.
+        DatasetError: if it is no manifest, or has an earlier format.
     """
-    path = f"{name or folder}/{NAME}"
     try:
-        manifest = json.loads(read_bounded(folder / NAME, MOST_MANIFEST_BYTES).decode())
-        if _depth(manifest) > MOST_DEPTH:
-            raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
+        head = msgspec.json.decode(content, type=_Head)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise BrokenError(f"is no JSON of a dataset ({printable(error)[:200]})") from None
+    if head.format != FORMAT:
+        raise DatasetError(f'is not a scenegen dataset\'s, expected "format": "{FORMAT}"')
+    version = head.version if isinstance(head.version, int | float) else 0
+    if head.version != VERSION:
+        if version > VERSION:
+            raise NewerError(f"format version {short(head.version)}: this scenegen reads {VERSION}")
+        raise DatasetError(
+            f"format version {short(head.version)}: scenegen 0.3 reads {VERSION} alone; generate "
+            "the dataset again, or read it with scenegen 0.2"
+        )
+    try:
+        document = msgspec.json.decode(content, type=Document)
+        values = {name: getattr(document, name) for name in Document.__struct_fields__}
+        return Manifest(**values, folder=folder, named=named).check()
+    except NewerError:
+        raise
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, BrokenError) as error:
+        # msgspec appends the location; our messages begin with it
+        fault = re.sub(r"^(.*) - at `\$\.?(.*)`$", r"\2: \1", printable(error))
+    made_by = head.software.get("scenegen") if isinstance(head.software, dict) else None
+    # an unknown entry in a file of a later version is no damage
+    raise NewerError(fault) if _is_later(made_by) else BrokenError(fault)
+
+
+def _is_later(version: Any) -> bool:
+    """Whether a version of scenegen, as a manifest names it, is later than this one."""
+    theirs, ours = (
+        # bounded lengths, as the text is untrusted
+        list(map(int, re.findall(r"[0-9]{1,9}", str(text)[:50])))
+        for text in (version, __version__)
+    )
+    return theirs > ours
+
+
+def load(folder: Path, name: str = "") -> Manifest:
+    """Read the manifest of a folder.
+
+    Args:
+        folder: The folder.
+        name: Name of the dataset in messages; by default the folder.
+
+    Raises:
+        DatasetError: if there is no manifest, it is damaged, or a newer scenegen wrote it.
+    """
+    path, content = f"{name or folder}: {NAME}", read_content(folder, name)
+    try:
+        return parse(content, folder)
+    except NewerError as error:
+        raise DatasetError(
+            f"{path}: a newer scenegen wrote it: {error}; read it with that one"
+        ) from None
+    except BrokenError as error:
+        fault = printable(error)[:300]
+        raise DatasetError(
+            f"{path} is damaged: {fault}; copy the dataset again, or generate it"
+        ) from None
+    except DatasetError as error:
+        raise DatasetError(f"{path} {error}") from None
+
+
+def read_content(folder: Place, name: str = "") -> bytes:
+    """Read the bytes of a folder's manifest.
+
+    Args:
+        folder: The folder, or a store.
+        name: Name of the dataset in messages; by default the folder.
+
+    Raises:
+        DatasetError: if there is no manifest, or it cannot be read.
+    """
+    try:
+        return read_at(folder, NAME, MOST_MANIFEST_BYTES)
     except FileNotFoundError:
-        lacks = f"it has no {NAME}" if Path(folder).exists() else "there is no such folder"
-        inner, others = (
-            [str(path.parent) for path in Path(place).glob(f"*/{NAME}")]
-            for place in (folder, folder.parent)
+        path = Path(str(folder))
+        problem = f"it has no {NAME}" if path.exists() else "there is no such folder"
+        inner, siblings = (
+            [str(near.parent) for near in parent.glob(f"*/{NAME}")]
+            for parent in (path, path.parent)
         )
-        for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), others, 1, 0.8):
-            lacks += f"; did you mean {near}?"
+        # suggest a dataset inside the folder, or one with a similar name beside it
+        for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), siblings, 1, 0.8):
+            problem += f"; did you mean {near}?"
         raise DatasetError(
-            f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`"
+            f"{name or folder}: not a dataset, {problem}; make one with `scenegen generate`"
         ) from None
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
         raise DatasetError(
-            f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or "
-            "generate it in another folder"
+            f"{name or folder}/{NAME}: cannot be read ({printable(error)[:200]})"
         ) from None
-    if (
-        not isinstance(manifest, dict)
-        or manifest.get("format") != FORMAT
-        or "shards" not in manifest
-    ):
-        raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    if (there := manifest.get("version")) not in VERSIONS:
-        more = (
-            "a newer scenegen wrote it; read it with that one"
-            if _pair(there) > _pair(VERSIONS[-1])
-            else "copy the dataset again"
-        )
-        raise DatasetError(
-            f"{path}: format version {short(there)}, this scenegen reads up to {VERSIONS[-1]}; "
-            f"{more}"
-        )
-    return manifest
 
 
-def _depth(value: Any) -> int:
-    """How deep a JSON value nests."""
-    depth, level = 0, [value]
-    while level := [one for one in level if isinstance(one, (dict, list))]:
-        depth += 1
-        level = [
-            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
-        ]
-    return depth
+def total_digest(digests: Sequence[bytes]) -> str:
+    """Digest of a dataset from the digests of its samples, 32 bytes each, in order."""
+    return sha256_of(b"".join(digests))

@@ -1,141 +1,213 @@
-"""Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
-store."""
+"""Shards in a folder or at a store: written, and found again by notes of jobs or by reports beside
+shards."""
 
-import json
-import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
-from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of, whole
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
-from scenegen.dataset.trust import Entry
-from scenegen.errors import DatasetError
-from scenegen.files import Json, read_bounded, sha256_of, write_whole
-from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import StorePath, Version
+import msgspec
+
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import write_whole
+from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
+from scenegen.base.reading import read_bounded, sha256_of
+from scenegen.base.stores import Place, Store
+from scenegen.dataset.schema import ShardEntry
+from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
-"""What they are called."""
+"""Names of notes."""
+
+
+class Note(msgspec.Struct):
+    """Shards that one job wrote."""
+
+    parameters: str
+    """Fingerprint of the dataset."""
+    shards: list[ShardEntry]
 
 
 def write_note(
     folder: Path, parameters: str, part: Sequence[str], reports: Sequence[ShardReport]
 ) -> None:
-    """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
-    parameters have the digest `parameters`."""
+    """Record the shards of a job.
+
+    Args:
+        folder: Folder of the dataset.
+        parameters: Fingerprint of the dataset.
+        part: Files of all shards of the job; they determine the name of the note.
+        reports: Reports of the finished shards.
+    """
     name = sha256_of("\n".join(part).encode())[:12]
-    shards = [report.entry() for report in reports]
-    content = json.dumps({"parameters": parameters, "shards": shards})
-    write_whole(folder / f"dataset.part-{name}.json", content.encode())
+    note = Note(parameters=parameters, shards=[report.entry for report in reports])
+    write_whole(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
 
 
-def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
-    """All that jobs wrote down of this dataset's shards, by file. What is damaged counts as not
-    there."""
-    found: dict[str, Entry] = {}
+def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
+    """Read the notes of all jobs. Damaged notes are ignored.
+
+    Args:
+        folder: Folder of the dataset.
+        parameters: Fingerprint of the dataset. Notes of others are ignored.
+
+    Returns:
+        Entries of finished shards, by file.
+    """
+    entries: dict[str, ShardEntry] = {}
     for path in folder.glob(NOTES):
-        with suppress(OSError, ValueError, RecursionError, DatasetError):
-            said = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
-            check(said, {"parameters": DIGEST, "shards": LIST}, "")
-            if said["parameters"] == parameters:
-                entries = [Entry(**checked(Entry, entry, "")) for entry in said["shards"]]
-                found |= {entry.file: entry for entry in entries}
-    return found
+        # a damaged note only costs time: its shards are examined again
+        with suppress(OSError, msgspec.MsgspecError, RecursionError, DatasetError):
+            note = msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=Note)
+            if note.parameters == parameters:
+                entries |= {entry.file: entry for entry in note.shards}
+    return entries
 
 
 def remove_notes(folder: Path) -> None:
-    """Delete them: the manifest lists everything. A store has none."""
-    for path in () if isinstance(folder, StorePath) else folder.glob(NOTES):
+    """Delete all notes, once the manifest lists every shard."""
+    for path in folder.glob(NOTES):
         path.unlink(missing_ok=True)
 
 
 SUFFIX = ".report.json"
 AT_A_TIME = 16
-"""Reports that are fetched at the same time."""
-MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
-"""A report is no larger."""
+"""Number of concurrent requests."""
+MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 
 
-def write_shard(spec: ShardTask) -> ShardReport:
-    """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
-    for its files. Raises GenerationError, DatasetError, StoreError."""
-    report = spec.write()
-    if isinstance(spec.folder, StorePath):
-        _note(spec, report, [place.version for place in _places(spec)])
+class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
+    """Report beside a shard at a store."""
+
+    parameters: str
+    """Fingerprint of the dataset."""
+    entry: ShardEntry
+    size: int
+    """Size of both objects, bytes."""
+    rejected: dict[str, dict[str, int]]
+    digests: str
+    """SHA-256 of the samples, in hexadecimal."""
+
+
+def write_shard(place: Place, task: ShardSpec) -> ShardReport:
+    """Write a shard; at a store, also a report.
+
+    Args:
+        place: Location of the dataset.
+        task: The shard.
+
+    Raises:
+        GenerationError: if a sample cannot be drawn.
+        DatasetError: if the folder cannot be written.
+        StoreError: if the store cannot be written.
+    """
+    report = task.write(place)
+    if isinstance(place, Store):
+        _put_report(place, task, report)
     return report
 
 
-def look(
-    there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
-) -> Iterator[ShardReport | None]:
-    """The reports of shards, each with what the manifest lists of it, at the place where objects
-    are `there`, by their versions; None for one that is not as it should be.
+def report_at(place: Place, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+    """Read the report of a shard; see `read_report`. Files at a store are fetched.
 
-    Objects that are those which a report beside them was written for are taken as they are: stores
-    keep what they took. Any other shard is read, and removed where it is damaged. Raises
-    StoreError.
+    Args:
+        place: Location of the dataset.
+        task: The shard, and its entry in the manifest, if it has one.
+
+    Returns:
+        The report; None if there is no such shard, or it is damaged.
+    """
+    with _at_hand(place, task[0]) as folder:
+        return read_report(folder, task)
+
+
+def find_reports(
+    store: Store,
+    sizes: Mapping[str, int | None],
+    tasks: Sequence[tuple[ShardSpec, ShardEntry | None]],
+) -> Iterator[ShardReport | None]:
+    """Yield reports of shards at a store, in order; None for a shard that is damaged.
+
+    A shard is not fetched if a report beside it has the same sizes, as stores keep what they
+    accepted. Other shards are read, and removed if they are damaged.
+
+    Args:
+        store: The store.
+        sizes: Sizes of all objects, bytes, by name.
+        tasks: Shards, each with its entry in the manifest, if it has one.
+
+    Raises:
+        StoreError: if the store does not answer. Nothing is removed then.
     """
 
-    def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    def find(task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there.get(name) for name in (spec.file, spec.worlds)]
-        report = _noted(spec, now, there) if None not in now else None
-        if report is None or (listed and report.sums != listed.sums):
-            report = read_report(task)
-            if report is None:
-                for place in _places(spec):
-                    place.unlink(missing_ok=True)
-            else:
-                _note(spec, report, now)
+        report = _read_report(store, spec, sizes)
+        if report is not None and (listed is None or report.entry.sums == listed.sums):
+            return report
+        if (report := report_at(store, task)) is None:
+            # a damaged shard must go: `Store.create` refuses to replace it by other bytes
+            for name in (spec.file, spec.worlds):
+                store.remove(name)
+        else:
+            _put_report(store, spec, report)
         return report
 
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        yield from pool.map(one, tasks)
+        yield from pool.map(find, tasks)
 
 
-def _places(spec: ShardTask) -> list[Any]:
-    """Where its objects are, the samples, which commit it, first."""
-    return [spec.folder / spec.file, spec.folder / spec.worlds]
+@contextmanager
+def _at_hand(place: Place, task: ShardSpec) -> Iterator[Path]:
+    """Give a local folder with the files of a shard, as far as they exist."""
+    if isinstance(place, Path):
+        yield place
+        return
+    with TemporaryDirectory(prefix="scenegen-") as name:
+        folder = Path(name)
+        (folder / task.file).parent.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError):
+            for file in (task.file, task.worlds):
+                place.fetch(file, folder / file)
+        yield folder
 
 
-def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> Json:
-    """What stands in the report beside a shard whose objects are of these versions."""
-    return {
-        "parameters": spec.parameters,
-        "versions": versions,
-        **report.entry(),
-        "size": report.size,
-        "rejected": report.rejected,
-        "digests": report.digests.hex(),
-    }
+def _report_name(task: ShardSpec) -> str:
+    return task.file.removesuffix(".h5") + SUFFIX
 
 
-def _note(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> None:
-    content = json.dumps(_said(spec, report, versions)).encode()
-    assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), content)
+def _put_report(store: Store, task: ShardSpec, report: ShardReport) -> None:
+    placed = PlacedReport(
+        parameters=task.parameters,
+        entry=report.entry,
+        size=report.size,
+        rejected={subject: dict(counts) for subject, counts in report.rejected.items()},
+        digests=report.digests.hex(),
+    )
+    store.put(_report_name(task), msgspec.json.encode(placed))
 
 
-def _report_name(spec: ShardTask) -> str:
-    return spec.file.removesuffix(".h5") + SUFFIX
-
-
-def _noted(
-    spec: ShardTask, now: Sequence[Version], there: Mapping[str, Version]
+def _read_report(
+    store: Store, task: ShardSpec, sizes: Mapping[str, int | None]
 ) -> ShardReport | None:
-    """What the report beside a shard says, if it is of just these objects."""
-    if (name := _report_name(spec)) not in there:
+    """Read the report beside a shard; None if it does not fit the shard or the sizes of its
+    objects."""
+    if _report_name(task) not in sizes:
         return None
-    with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError, KeyError, TypeError):
-        said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        check(said, {**rules_of(Entry), "size": whole(0, sys.maxsize)}, "")
-        check(said["rejected"], REJECTED, "")
-        sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
-        report = report_of(spec, sums, said["size"], said["rejected"], digests)
-        if said == _said(spec, report, now) and len(digests) == 32 * spec.samples:
+    with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError):
+        content = store.read(_report_name(task), MAX_REPORT_BYTES)
+        placed = msgspec.json.decode(content, type=PlacedReport)
+        rejected = {subject: Counter(counts) for subject, counts in placed.rejected.items()}
+        digests = bytes.fromhex(placed.digests)
+        report = report_of(task, placed.entry.sums, placed.size, rejected, digests)
+        stored = sum(sizes.get(name) or 0 for name in (task.file, task.worlds))
+        if (
+            (placed.parameters, placed.entry) == (task.parameters, report.entry)
+            and len(digests) == 32 * task.samples
+            and placed.size == stored
+        ):
             return report
     return None

@@ -1,137 +1,203 @@
-"""Read a dataset: samples by split and number, with what was left out derived, and the worlds they
-come from."""
+"""Read datasets: samples by split and number, with derived fields computed, and their worlds.
+
+A `Dataset` is one folder. `scenegen.dataset.collection` reads several, or some of their samples, as
+one. Both give `Split`s.
+"""
 
 import os
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from functools import cached_property, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lidarsim import fuse
+from lidarsim import GridSpec, Sensor, fuse
 from lidarsim.grid import Ints
 from scenegen import SPLITS
-from scenegen.dataset import trust
+from scenegen.base.errors import BrokenError, DatasetError, SceneError, raised_as, short
+from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
-from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
-from scenegen.sample import Sample, Samples, Schema, html_table
-from scenegen.truth import distance_field
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
+from scenegen.dataset.piece import Piece, advised
+from scenegen.dataset.schema import ShardEntry
+from scenegen.draw.html import html_table
+from scenegen.draw.sample import Sample, Samples, Schema
+from scenegen.worlds.mapping import Sensing
 
-if TYPE_CHECKING:  # which imports MuJoCo
+if TYPE_CHECKING:  # worlds import MuJoCo
     from scenegen.worlds.world import AnyWorld
 
-MOST_OPEN = 256
-"""Shards that a reader keeps open in one process; a large dataset has more than a process may
-open."""
+MOST_OPEN = 64
+"""Maximum number of open shards of a split in a process. HDF5 takes 1.4 MB for each, and half a
+millisecond to open one."""
 
 
 FIRST = itemgetter(0)
 
 
-def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
-    """Say of what is broken in the dataset in `folder` where it is, and what to do about it."""
-    return raised_as(
-        DatasetError, f"{folder}{mark}", "; copy the dataset again, or generate it", of=of
-    )
+class AnyDataset(ABC):
+    """A `Dataset`, or a `Collection` of several."""
+
+    name: str
+    """Name for messages and reports."""
+    grid: GridSpec
+    """Grid of the maps."""
+    lidar: Sensor
+    """The sensor; if datasets differ, that of the first."""
+    datasets: "tuple[Dataset, ...]"
+    """The datasets that its samples come from."""
+
+    def __init__(self) -> None:
+        self._splits: dict[str, Split] = {}
+
+    @property
+    @abstractmethod
+    def digest(self) -> str:
+        """Identifies the samples; "None" for an incomplete dataset."""
+
+    @property
+    def kind(self) -> str:
+        """Kinds of its worlds, with the difficulty unless that is medium."""
+        return "+".join(dict.fromkeys(dataset.manifest.graded for dataset in self.datasets))
+
+    @property
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of `datasets` were sensed."""
+        return tuple(dataset.manifest.sensing for dataset in self.datasets)
+
+    @abstractmethod
+    def _pieces(self, split: str) -> "list[Piece]":
+        """Samples of a split, by shard."""
+
+    @abstractmethod
+    def world(self, split: str, number: int) -> dict[str, bytes]:
+        """Read the files of a world.
+
+        Args:
+            split: Name of the split.
+            number: Number of the world in its split.
+
+        Returns:
+            Contents by name: the MJCF document as ``world.xml``, and files that it refers to.
+
+        Raises:
+            DatasetError: if there is no such world.
+        """
+
+    @abstractmethod
+    def compile(self, split: str, number: int) -> "AnyWorld":
+        """Compile a world with MuJoCo after screening it; a map is only read.
+
+        Args:
+            split: Name of the split.
+            number: Number of the world in its split.
+
+        Raises:
+            DatasetError: if there is no such world, or it cannot be compiled.
+        """
+
+    def split(self, name: str) -> "Split":
+        """Samples of a split: "train", "val" or "test".
+
+        Raises:
+            DatasetError: if there is no such split.
+        """
+        if name not in SPLITS:
+            raise DatasetError(
+                f"{self.name}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
+            )
+        if name not in self._splits:  # cached: a split may have many shards
+            self._splits[name] = Split(self, name, self._pieces(name))
+        return self._splits[name]
 
 
-class Rows(NamedTuple):
-    """Samples of a split by their numbers: a task for a worker."""
-
-    split: str
-    numbers: Sequence[int]
-
-    def __str__(self) -> str:
-        return f"{self.split} samples {self.numbers[0]} to {self.numbers[-1]}"
-
-
-class Dataset:
+class Dataset(AnyDataset):
     """A dataset folder, opened for reading.
 
-    ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
-    Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
-    Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
-    of them has them `whole`.
+    ``Dataset("data/pillar").split("train")[0].tudf`` is the distance field of the first training
+    sample.
+
+    Args:
+        folder: The folder.
+        partial: Whether an incomplete dataset is accepted.
+        checked: Whether files are compared with their sums when they are opened, and samples with
+            their digests: for code that makes new data from it.
+
+    Raises:
+        DatasetError: if there is no dataset, it is damaged, or incomplete and not `partial`.
     """
 
-    def __init__(
-        self,
-        folder: Path | str,
-        *,
-        partial: bool = False,
-        checked: bool = False,
-        whole: bool = False,
-    ):
-        self.folder = Path(folder)
-        self.checked, self.whole = checked, whole
+    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
+        super().__init__()
+        self.folder, self.name = Path(folder), str(folder)
+        self.datasets = (self,)
+        self.checked = checked
         self._sound: set[str] = set()
-        self._splits: dict[str, Split] = {}
-        self.manifest = trust.load(self.folder)
+        self.manifest = manifest.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
-            self.settings = self.manifest.settings
-            """How the samples of each of the datasets that they were made for were sensed; `lidar`
-            is that of the first."""
+            # computed now, so that a damaged manifest fails here and not on access
+            _ = self.manifest.schema
         if not (self.manifest.complete or partial):
             raise DatasetError(
                 f"{self.folder}: incomplete; give the command that made it again to go on where "
                 f"it was"
             )
 
-    def split(self, name: str) -> "Split":
-        """The samples of a split: train, val or test. Raises DatasetError for another name."""
-        if name not in SPLITS:
-            raise DatasetError(
-                f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
-            )
-        if name not in self._splits:  # made once: it may have very many shards
-            self._splits[name] = Split(self, name)
-        return self._splits[name]
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the digests of all samples; "None" for an incomplete dataset."""
+        return str(self.manifest.digest)
+
+    def _pieces(self, split: str) -> "list[Piece]":
+        return [Piece(self, entry) for entry in self.manifest.shards if entry.split == split]
 
     def __fspath__(self) -> str:
         return str(self.folder)
 
     def __repr__(self) -> str:
-        return f"<Dataset: {self.manifest.graded}, seed {self.manifest.seed}, in {self.folder}>"
+        return f"<Dataset: {self.kind}, seed {self.manifest.seed}, in {self.folder}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: what the dataset is, and the samples of its splits."""
-        it = self.manifest
+        """For notebooks: a table of the splits and settings."""
         rows: list[tuple[str, object]] = [
             (name, f"{len(self.split(name))} samples") for name in SPLITS
         ]
-        rows += [("grid", self.grid), ("sensor", self.lidar), ("digest", it.digest)]
+        rows += [("grid", self.grid), ("sensor", self.lidar), ("digest", self.digest)]
         return html_table(rows, self)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
-        """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to
-        by their names.
+        """Read the files of a world; see `AnyDataset.world`.
 
-        Raises DatasetError where there is no such world.
+        Returns:
+            Contents by name.
         """
-        shards = self._by_world.get(split, [])
-        for first, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
-            member = f"{number - first + shard.first_world:06d}.xml"
+        shards, member = self._by_world.get(split, []), f"{number:06d}.xml"
+        # worlds are numbered in the order of shards: the last shard that begins before it has the
+        # world, or, if worlds come again, an earlier one
+        for _, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
             with (
                 advised(self.folder),
                 self._open(shard.worlds, shard.worlds_sha256) as file,
                 open_archive(file, shard.worlds) as members,
             ):
                 if member in members:
-                    document, others = members.world(member)
-                    return {DOCUMENT: document} | others
+                    document, assets = members.world(member)
+                    return {DOCUMENT: document} | assets
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
     def compile(self, split: str, number: int) -> "AnyWorld":
-        """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
-        DatasetError where there is none, or it cannot be compiled."""
+        """Compile a world; see `AnyDataset.compile`.
+
+        Returns:
+            The world.
+        """
         from scenegen.worlds.screen import screen
         from scenegen.worlds.world import archived_world
 
@@ -142,42 +208,38 @@ class Dataset:
             return archived_world(document, files, name=name)
 
     @cached_property
-    def _by_world(self) -> dict[str, list[tuple[int, trust.Entry]]]:
-        """The shards of each split, with the number of the first world of each, in the order of
-        these: there may be very many, of which one is looked for."""
-        before = self.manifest.first_worlds
-        found = [
-            (before[entry.split, entry.source] + entry.first_world, entry)
-            for entry in self.manifest.shards
-        ]
+    def _by_world(self) -> dict[str, list[tuple[int, ShardEntry]]]:
+        """Shards of each split with the numbers of their first worlds, in the order of these, for a
+        binary search."""
         return {
-            split: sorted((one for one in found if one[1].split == split), key=FIRST)
+            split: sorted(
+                (
+                    (entry.first_world, entry)
+                    for entry in self.manifest.shards
+                    if entry.split == split
+                ),
+                key=FIRST,
+            )
             for split in SPLITS
         }
 
-    def _shard(self, entry: trust.Entry) -> ShardFile:
-        """An open shard, of this dataset by its own word."""
+    def open_shard(self, entry: ShardEntry) -> ShardFile:
+        """Open a shard, and check that it belongs to this dataset. Raises DatasetError."""
         path = self.folder / entry.file
-        home = self.manifest.home(entry)
         with advised(self.folder):
-            shard = open_shard(
-                self._open(entry.file, entry.sha256)
-                if self.checked or self.whole
-                else open_fetched(path, entry.samples),
-                path,
-                entry.samples,
-                home.layout,
-            )
+            # fetches the file, and compares its sum if `checked`
+            self._open(entry.file, entry.sha256).close()
+            shard = open_shard(path, entry.samples, self.manifest.layout)
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
                 worlds_sha256=entry.worlds_sha256,
-                parameters=home.fingerprint,
+                parameters=self.manifest.fingerprint,
             )
         return shard
 
     def _open(self, name: str, sha256: str) -> BufferedReader:
-        """A file that the manifest lists; if `checked`, its sum is held against the list, once."""
+        """Open a file that the manifest lists. If `checked`, its SHA-256 is compared once."""
         file = open_file(self.folder / name)
         if self.checked and name not in self._sound:
             try:
@@ -190,15 +252,13 @@ class Dataset:
 
 
 class Split(Samples):
-    """The samples of one split, in order. Files are opened when first read, and anew in every
-    process that reads."""
+    """Samples of one split, in order. Files are opened on first access, again in every process."""
 
-    def __init__(self, dataset: Dataset, name: str):
+    def __init__(self, dataset: AnyDataset, name: str, pieces: Sequence[Piece]):
         self.dataset = dataset
         self.name = name
-        self.shards = [shard for shard in dataset.manifest.shards if shard.split == name]
-        """Its shards, as the manifest lists them."""
-        self._start = np.cumsum([0, *(shard.samples for shard in self.shards)])
+        self.pieces = tuple(pieces)
+        self._start = np.cumsum([0, *map(len, pieces)])
         self._open: dict[int, ShardFile] = {}
         self._process = os.getpid()
 
@@ -206,122 +266,132 @@ class Split(Samples):
         return int(self._start[-1])
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
-        """Several samples, as torch asks for a batch."""
+        """Read several samples; torch calls this for a batch."""
         return list(map(self._sample, indices))
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
-        # this says at once if the file is missing or not this dataset's
-        if self._shard(number).fetched or self.dataset.checked:
+        piece = self.pieces[number]
+        self._shard(number)  # a missing or foreign file is an error now, not on field access
+        if piece.dataset.checked:
             self.check(index)
-        home, find = self.home(index), partial(self._find, number, row)
-        return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)
+        manifest, find = piece.dataset.manifest, partial(self._find, number, row)
+        return Sample.lazy(manifest.schema.names, find, lidar=manifest.lidar, grid=manifest.grid)
 
     def check(self, index: int) -> None:
-        """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
-        `tudf` have no part in that."""
+        """Compare a sample with its stored digest; `free` and `tudf` are not covered. Raises
+        DatasetError."""
         number, row = self._place(index)
-        with advised(self.dataset.folder):
+        with advised(self.pieces[number].dataset.folder):
             self._shard(number).check(row)
 
     def __getstate__(self) -> dict[str, Any]:
+        # HDF5 handles cannot be pickled
         return {**self.__dict__, "_open": {}}
 
     def __repr__(self) -> str:
-        return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
+        return f"<Split: {len(self)} samples of {self.dataset.name}, {self.name}>"
 
     @property
     def schema(self) -> Schema:
-        """The schema of its samples; where sources differ, that of the first."""
-        return self.dataset.manifest.schema
+        """Schema of the samples; if datasets differ, that of the first."""
+        return self.schemas[0]
 
-    @property
+    @cached_property
     def schemas(self) -> Sequence[Schema]:
-        """The schemas of the sources that it has samples of."""
-        homes = self.dataset.manifest.homes
-        return [homes[n].schema for n in sorted({shard.source for shard in self.shards})]
+        """Schemas of the datasets that the samples come from."""
+        datasets = dict.fromkeys(piece.dataset for piece in self.pieces)
+        return [dataset.manifest.schema for dataset in datasets or self.dataset.datasets]
 
     def _place(self, index: int) -> tuple[int, int]:
-        """Shard, and row in it, of sample `index`."""
+        """Number of the piece of a sample, and its row in the shard."""
         index = self._checked(index)
-        shard = int(np.searchsorted(self._start, index, side="right")) - 1
-        return shard, index - int(self._start[shard])
+        number = int(np.searchsorted(self._start, index, side="right")) - 1
+        return number, self.pieces[number].row(index - int(self._start[number]))
 
     def _shard(self, number: int) -> ShardFile:
-        if (
-            self._process != os.getpid()
-        ):  # a forked process has handles of its own to close, and opens its own files
+        # HDF5 handles must not be shared with a forked process
+        if self._process != os.getpid():
             self._open, self._process = {}, os.getpid()
-        shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
-        self._open[number] = shard  # last in line: the one used longest ago stands first
+        piece = self.pieces[number]
+        shard = self._open.pop(number, None) or piece.dataset.open_shard(piece.entry)
+        self._open[number] = shard  # dicts keep order: the least recently used shard comes first
         for old in list(self._open)[:-MOST_OPEN]:
-            self._open.pop(old, None)  # closed once no other thread reads from it
+            self._open.pop(old, None)  # closed when no other thread holds it
         return shard
 
     def _find(self, number: int, row: int, sample: Sample, name: str) -> Any:
-        """A field of the sample in a row of a shard: as it is stored, or derived from the other
-        fields. Raises DatasetError."""
-        it, shard = self.dataset, self._shard(number)
-        home = it.manifest.home(self.shards[number])
-        with advised(it.folder):
-            if name in home.fields:
+        """Read a stored field of a sample, or derive it. Raises DatasetError."""
+        piece, shard = self.pieces[number], self._shard(number)
+        manifest = piece.dataset.manifest
+        with advised(piece.dataset.folder):
+            if name in manifest.fields:
                 value = shard.value(name, row)
-                return value + self.first_worlds[number] if name == "world" else value
+                # worlds of a collection are numbered across its datasets
+                return value + piece.first_world if name == "world" else value
             if name == "tudf":
-                return distance_field(sample.occupancy, it.grid)
-            with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
-                return fuse(sample.scans()[::-1], it.grid, sample.origin, home.mapping).free
+                # imports MuJoCo, which reading stored fields does not need
+                from scenegen.truth import distance_field
 
-    @cached_property
-    def first_worlds(self) -> list[int]:
-        """What is added to the numbers of worlds that a shard holds, by shard."""
-        first = self.dataset.manifest.first_worlds
-        return [first[self.name, entry.source] for entry in self.shards]
+                return distance_field(sample.occupancy, manifest.grid)
+            with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
+                # oldest first, as when the sample was made
+                scans = sample.scans()[::-1]
+                return fuse(scans, manifest.grid, sample.origin, manifest.mapping).free
 
     def first(self, number: int) -> int:
-        """The number of a shard's first sample."""
+        """Number of a piece's first sample."""
         return int(self._start[number])
 
-    def places(self, number: int) -> Ints:
-        """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
-        Raises DatasetError."""
-        entry = self.shards[number]
-        if not entry.cut:
-            return np.arange(entry.start, entry.stop)
-        shard = self._shard(number)
-        with advised(self.dataset.folder):
-            numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            return numbering.place(shard.column("world"), shard.column("viewpoint"))
+    def taken(self, numbers: Sequence[int] | None, first_world: int = 0) -> list[Piece]:
+        """Restrict the split to some samples.
 
-    def numbers_in(self, number: int) -> Ints:
-        """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""
-        with advised(self.dataset.folder):
-            numbering = self.dataset.manifest.home(self.shards[number]).numbering(self.name)
-        world, viewpoint = numbering.name(self.places(number))
-        return np.array([world + self.first_worlds[number], viewpoint])
+        Args:
+            numbers: Rising sample numbers; None for all.
+            first_world: Offset of the world numbers.
+
+        Returns:
+            Pieces with these samples.
+        """
+        pieces = []
+        chosen = None if numbers is None else np.asarray(numbers, np.int64)
+        for number, piece in enumerate(self.pieces):
+            rows = piece.rows
+            if chosen is not None:
+                begin, end = self._start[number : number + 2]
+                begin_index, end_index = np.searchsorted(chosen, [begin, end])
+                local_rows = chosen[begin_index:end_index] - begin
+                rows = local_rows if piece.rows is None else piece.rows[local_rows]
+            if rows is None or len(rows):
+                pieces.append(Piece(piece.dataset, piece.entry, rows, first_world))
+        return pieces
+
+    def names_in(self, number: int) -> Ints:
+        """World and viewpoint numbers of a piece's samples, (2, N). Raises DatasetError."""
+        with advised(self.pieces[number].dataset.folder):
+            return self.pieces[number].names()
 
     @cached_property
     def numbers(self) -> Ints:
-        """World and viewpoint of all samples, (2, samples); files are opened only where samples
-        were left out between others. Raises DatasetError."""
-        found = map(self.numbers_in, range(len(self.shards)))
-        return np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
+        """World and viewpoint numbers of all samples, (2, N). Raises DatasetError."""
+        names = map(self.names_in, range(len(self.pieces)))
+        return np.concatenate([np.empty((2, 0), np.int64), *names], axis=1)
 
     def count_worlds(self) -> int:
-        """How many worlds its samples are of."""
+        """Number of different worlds of its samples."""
         return len(np.unique(self.numbers[0]))
 
     def by_kind(self) -> dict[str, list[int]]:
-        """The numbers of its samples by the kind of their worlds, and its difficulty."""
-        found: dict[str, list[int]] = {}
-        for first, entry in zip(self._start.tolist(), self.shards, strict=False):
-            ours = found.setdefault(self.dataset.manifest.home(entry).graded, [])
-            ours += range(first, first + entry.samples)
-        return found
+        """Sample numbers by the kind of their worlds, with its difficulty."""
+        numbers: dict[str, list[int]] = {}
+        for first, piece in zip(self._start.tolist(), self.pieces, strict=False):
+            of_kind = numbers.setdefault(piece.dataset.kind, [])
+            of_kind += range(first, first + len(piece))
+        return numbers
 
-    def home(self, index: int) -> trust.Manifest:
-        """What sample `index` was made for: this dataset, or one that it was taken from."""
-        return self.dataset.manifest.home(self.shards[self._place(index)[0]])
+    def home(self, index: int) -> Manifest:
+        """Manifest of the dataset that a sample belongs to."""
+        return self.pieces[self._place(index)[0]].dataset.manifest
 
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:

@@ -1,4 +1,4 @@
-"""A shard: the unit of work, of writing and of recovery. One file of samples and one archive of
+"""A shard: the unit of work, of writing and of recovery. It has a file of samples and an archive of
 their worlds."""
 
 import io
@@ -7,7 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -18,96 +18,57 @@ import numpy as np
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
-from scenegen.dataset.hdf5 import tells, with_index
+from scenegen.base.errors import BrokenError, DatasetError, raised_as
+from scenegen.base.reading import sha256_in, sha256_of
+from scenegen.base.stores import Place, create_at
+from scenegen.base.workers import Worker
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
-from scenegen.dataset.rules import rules_of, stem_of
-from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
-from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import Json, sha256_in, sha256_of, write_whole
-from scenegen.recipe import Recipe
-from scenegen.run.workers import Worker
-from scenegen.sample import DERIVED, FIELDS
-from scenegen.source import Source
+from scenegen.dataset.schema import ShardEntry, stem_of
+from scenegen.draw.draw import compile_truth, draw_unit
+from scenegen.draw.sample import DERIVED, FIELDS
+from scenegen.draw.source import Source
+from scenegen.draw.unit import Rejections, Unit, none_rejected
+from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1
-"""The level of compression: the next one saves a hundredth, the one after takes four times as long
-(docs/log.md)."""
+"""Compression level. The next one saves one percent, the one after takes four times as long
+(docs/log)."""
 _FIRST = 4
-"""Bytes of a block that ISA-L is fed before the rest: the fewest that begin its history."""
+"""Bytes that ISA-L gets before the rest of a block: the minimum that starts its history."""
 
 
 Drawn = tuple[Callable[[str], Any], bytes]
-"""A sample that is to be written: what gives its fields by their names, and its digest."""
+"""A sample to write: a function from field names to values, and its digest."""
 
 
 def find_engine(name: str) -> EngineFactory:
-    """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
+    """Factory of an engine.
+
+    Raises:
+        DatasetError: if the engine is not available.
+    """
     with raised_as(DatasetError):
         return ENGINES.find(name).of
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShardTask:
-    """A shard that is to be in a folder, whatever its samples come from; small, and can be pickled,
-    so that any process anywhere can write it."""
-
-    folder: Path
-    split: str
-    index: int
-    """The shard's place within its split."""
-    samples: int
-    parameters: str
-    """Digest of the parameters of the dataset that it is made for; written into the shard, so that
-    it is never taken for another dataset's."""
-    layout: Layout
-    """What the shard is to hold."""
-    numbers: Sequence[int]
-    """Numbers of the worlds that its samples are of; a world may stand there several times."""
-    more: Mapping[str, int] = field(default_factory=dict)
-    """What its entry in the manifest says besides."""
-    tells = True
-    """Whether `parameters` say which samples it holds, without a manifest beside it."""
-
-    @property
-    def file(self) -> str:
-        """Where in the folder the samples go."""
-        return f"{stem_of(self.split, self.index)}.h5"
-
-    @property
-    def worlds(self) -> str:
-        """Where in the folder the worlds go."""
-        return f"{stem_of(self.split, self.index)}.worlds.zip"
-
-    def prepare(self, workers: int) -> None:
-        """Have done, by up to so many processes, what every writing process would else do by
-        itself."""
-
-    def write(self) -> "ShardReport":
-        """Write the shard."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, kw_only=True)
 class Units:
-    """The units of a split: all that they are drawn by, but for their number; small, and can be
-    pickled."""
+    """Units of a split: all that they depend on except their number. Small, and can be pickled."""
 
     recipe: Recipe
     source: Source
     seed: int = 0
     split: str = "train"
     engine: str = DEFAULT
-    """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
+    """Name of the engine that casts rays; see `lidarsim.engines.ENGINES`."""
 
     @property
     def derived(self) -> bool:
-        """Whether samples hold what could be derived."""
+        """Whether samples have derived fields."""
         return False
 
     def draw(self, unit: int) -> Unit:
-        """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is
-        not to be had."""
+        """Draw a unit. Raises GenerationError, and DatasetError if the engine is not available."""
         return draw_unit(
             self.source,
             self.recipe,
@@ -120,77 +81,114 @@ class Units:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShardSpec(ShardTask, Units):
-    """A shard whose units are drawn: all that its samples depend on."""
+class ShardSpec(Units):
+    """A shard to write: all that its samples depend on, independent of its location. It is small
+    and can be pickled, so that any process on any machine can write it."""
 
+    index: int
+    """Position of the shard in its split."""
+    samples: int
     first_unit: int
-    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
+    """First of its units, of which there are as many as `numbers`. Their samples are cut to
+    `samples`."""
+    numbers: Sequence[int]
+    """World numbers of its units, perhaps repeated."""
+    parameters: str
+    """Fingerprint of the dataset, which is stored in the shard as the mark of its dataset."""
+    layout: Layout
+    """Layout of the file."""
+
+    @property
+    def file(self) -> str:
+        """Name of the file of samples."""
+        return f"{stem_of(self.split, self.index)}.h5"
+
+    @property
+    def worlds(self) -> str:
+        """Name of the archive of worlds."""
+        return f"{stem_of(self.split, self.index)}.worlds.zip"
 
     @property
     def derived(self) -> bool:
-        """See `Units`."""
+        """Whether samples have derived fields; see `Units`."""
         return "tudf" in self.layout
 
     def prepare(self, workers: int) -> None:
-        """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
+        """Compile kernels before workers start, each of which would otherwise compile them. Invalid
+        parameters fail here.
+
+        `workers` is the number of processes that may be used.
+        """
         with ExitStack() as stack:
             if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
-                other = Worker(partial(compile_truth, self.source, self.recipe))
-                stack.callback(other.end)
-                other.give(self.split)
+                # a second process compiles those that `draw` would come to last
+                compiler = Worker(partial(compile_truth, self.source, self.recipe))
+                stack.callback(compiler.end)
+                compiler.give(self.split)
             self.draw(self.first_unit)
 
-    def write(self) -> "ShardReport":
-        """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
-        GenerationError, DatasetError."""
+    def write(self, place: Place) -> "ShardReport":
+        """Draw the units into memory, a few megabytes, and write the shard. Raises GenerationError,
+        DatasetError and StoreError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
 
         def drawn() -> Iterator[Drawn]:
-            left = self.samples
+            remaining = self.samples
             for n in range(len(self.numbers)):
                 unit = self.draw(self.first_unit + n)
-                for what, counts in unit.rejected.items():
-                    rejected[what].update(counts)
+                for subject, counts in unit.rejected.items():
+                    rejected[subject].update(counts)
+                # units may share a world, and worlds may share files
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
-                for sample in unit.samples[: max(left, 0)]:
+                # the last flight of a split may have more samples than are needed
+                for sample in unit.samples[: max(remaining, 0)]:
                     yield partial(getattr, sample), sample.sha256()
-                left -= len(unit.samples)
+                remaining -= len(unit.samples)
 
-        return put(self, drawn(), documents, rejected)
+        return put(place, self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ShardReport(Entry):
-    """A shard on disk: what the manifest is to list, and what else it needs to know."""
+class ShardReport:
+    """A shard on disk."""
 
+    entry: ShardEntry
+    """Its entry in the manifest."""
     size: int
-    """Bytes on disk."""
+    """Size of both files, bytes."""
     rejected: Rejections
     digests: bytes
-    """The samples' own SHA-256s, 32 bytes each, in order."""
-    more: Mapping[str, int]
-    """See `ShardTask.more`."""
-
-    def entry(self) -> Json:
-        """The shard's entry in the manifest."""
-        return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
+    """SHA-256 of the samples, 32 bytes each, in order."""
 
 
 def put(
-    spec: ShardTask,
+    place: Place,
+    spec: ShardSpec,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
-    `documents` and `rejected` are looked at once the samples have come to their end.
+    """Write a shard. The archive is written first; the file of samples commits the shard.
 
-    Raises DatasetError, and whatever `samples` raise.
+    Args:
+        place: Location of the dataset.
+        spec: The shard.
+        samples: The samples, in order. They may be drawn while they are consumed.
+        documents: Files of the worlds by name. Read after the last sample.
+        rejected: Numbers of rejected draws. Read after the last sample.
+
+    Returns:
+        The report of the shard.
+
+    Raises:
+        DatasetError: if it cannot be written. Errors of `samples` pass through.
     """
     digests = list[bytes]()
     layout = {name: column for name, column in spec.layout.items() if name != DIGEST}
+    # in memory, so that the file can be written atomically, or put at a store
     with h5py.File(spec.file, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
         packed = _create(file, layout, spec.samples)
+        # scalars and poses are not compressed, and written together at the end
         small: dict[str, list[Any]] = {name: [] for name in layout if name not in packed}
         for value_of, digest in samples:
             for name, values in small.items():
@@ -201,9 +199,9 @@ def put(
             digests.append(digest)
         for name, values in small.items():
             file[name][:] = np.array(values)
-        own = b"".join(digests)
+        joined_digests = b"".join(digests)
         file.create_dataset(
-            DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32)
+            DIGEST, data=np.frombuffer(joined_digests, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
         worlds = zip_reproducibly(tuple(documents.items()))
         file.attrs["split"] = spec.split
@@ -211,34 +209,45 @@ def put(
         file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
+        # the image is complete only after a flush
         file.flush()
-        content = with_index(file.id.get_file_image(), file, spec.samples)
-    write_whole(spec.folder / spec.worlds, worlds)
-    write_whole(spec.folder / spec.file, content)
+        content = file.id.get_file_image()
+    # the archive first: the file of samples marks the shard as complete
+    create_at(place, spec.worlds, worlds)
+    create_at(place, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
-    return report_of(spec, sums, len(content) + len(worlds), rejected, own)
+    return report_of(spec, sums, len(content) + len(worlds), rejected, joined_digests)
 
 
 def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
-    """Make the shard's datasets, one chunk a sample, and return those that are packed: grids and
-    ranges."""
-    found = {}
+    """Make the HDF5 datasets of a shard, one chunk for each sample. Returns those of grids and
+    ranges, which are compressed."""
+    opened = {}
     for name, (dtype, shape) in layout.items():
         packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
             name, shape=(samples, *shape), dtype=dtype, chunks=(1, *shape), **packing
         )
-        if packed:  # the others are closed meanwhile, which decides where HDF5 puts what
-            found[name] = dataset.id
-    return found
+        # the others must be closed here: HDF5's layout of the file, and so its bytes, depends on it
+        if packed:
+            opened[name] = dataset.id
+    return opened
 
 
 def report_of(
-    spec: ShardTask, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
+    spec: ShardSpec, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
 ) -> ShardReport:
-    """The report of a shard whose two files have these SHA-256 `sums`, and `size` bytes in all."""
-    return ShardReport(
+    """Make the report of a shard.
+
+    Args:
+        spec: The shard.
+        sums: SHA-256 of the file of samples and of the archive.
+        size: Size of both, bytes.
+        rejected: Numbers of rejected draws.
+        digests: SHA-256 of the samples, 32 bytes each.
+    """
+    entry = ShardEntry(
         file=spec.file,
         worlds=spec.worlds,
         split=spec.split,
@@ -246,19 +255,16 @@ def report_of(
         first_world=min(spec.numbers),
         sha256=sums[0],
         worlds_sha256=sums[1],
-        size=size,
-        rejected=rejected,
-        digests=digests,
-        more=spec.more,
     )
+    return ShardReport(entry=entry, size=size, rejected=rejected, digests=digests)
 
 
 def compress(values: np.ndarray) -> bytes:
-    """A chunk as HDF5's gzip filter would write it: the same bytes for the same values.
+    """Compress a chunk as HDF5's gzip filter would. Equal values give equal bytes.
 
-    Fed all at once, ISA-L hashes an address on the stack as if it were the third byte
-    (`write_first_byte` in igzip_icf_body_h1_gr_bt.asm, where `tmp2` is not set), and one process in
-    hundreds writes other bytes.
+    ISA-L hashes uninitialised memory in place of the third byte if it gets all bytes at once
+    (`write_first_byte` in igzip_icf_body_h1_gr_bt.asm, where `tmp2` is not set): one process in
+    hundreds would write other bytes. Therefore the first bytes are passed separately.
     """
     raw = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     stream = isal.isal_zlib.compressobj(_LEVEL)
@@ -266,22 +272,25 @@ def compress(values: np.ndarray) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none as `task` has it:
-    what the shard is to be, and what the manifest lists of it.
+def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+    """Read the report of an existing shard.
 
-    A shard whose files are no longer what its entry says, or whose archive is not the one that was
-    written with it, is damaged, and counts as absent. Where there is no entry, samples are held
-    against their own digests.
+    A listed shard is compared with its sums. The samples of an unlisted one are compared with their
+    digests.
+
+    Args:
+        folder: Folder of the dataset.
+        task: The expected shard, and its entry in the manifest, if it has one.
+
+    Returns:
+        The report; None if the shard is missing, damaged, or another dataset's.
     """
     spec, listed = task
     try:
-        path = spec.folder / spec.file
-        with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
-            shard = open_shard(file, path, spec.samples, spec.layout)
-            if not tells(file):  # nothing is lost, but it is not the file that was written
-                return None
-            size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
+        path = folder / spec.file
+        with open_file(path) as file, open_file(folder / spec.worlds) as worlds:
+            shard = open_shard(path, spec.samples, spec.layout)
+            size = sum(os.fstat(handle.fileno()).st_size for handle in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)
             shard.check_origin(
                 split=spec.split,
@@ -294,36 +303,25 @@ def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
             for row in range(spec.samples) if listed is None else ():
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
-                    shard.value(name, row, read_only=True)  # which must be there
+                    # digests do not cover derived fields: check that they can be unpacked
+                    shard.value(name, row, read_only=True)
             return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
+    # whatever is wrong, the shard will be written again
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
 
-def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
-    """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry
-    `listed` has it, carry those of `spec` in their place; it is left alone where it is not just
-    that shard."""
-    path = spec.folder / spec.file
-    try:
-        with open_file(path) as file:
-            content = file.read()
-    except (BrokenError, OSError):
-        return
-    if sha256_of(content) == listed.sha256 and content.count(old.encode()) == 2:
-        write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
-
-
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"
-"""How what `zip_reproducibly` makes begins."""
+"""First bytes of files made by `zip_reproducibly`."""
 
 
-@lru_cache(maxsize=1)  # the shards of a large map all have the same
+@lru_cache(maxsize=1)  # all shards of a large map have the same archive
 def zip_reproducibly(members: tuple[tuple[str, bytes], ...]) -> bytes:
-    """A zip file whose bytes depend on its members alone."""
+    """Make a zip file whose bytes depend only on its members."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:
         for name, content in sorted(members):
+            # fixed values for everything that depends on the time or the machine
             member = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             member.compress_type = zipfile.ZIP_DEFLATED
             member.create_system = 3

@@ -1,81 +1,94 @@
-"""A folder and the dataset that is to be in it: what is there, what is missing, and what the
-manifest says of it."""
+"""State of a dataset's folder: existing shards, missing ones, and what the manifest lists."""
 
 import contextlib
-import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from lidarsim import Sensor
+import msgspec
+
 from scenegen import SPLITS
-from scenegen.dataset import manifest, placed, trust
-from scenegen.dataset.parts import rays_named, tables_of, write_rays
-from scenegen.dataset.placed import read_notes, remove_notes, write_note
-from scenegen.dataset.rules import FILE_RULE
-from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
-from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts
-from scenegen.run.workers import run
-from scenegen.stores import StorePath, Version
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import disk_told, remove_drafts
+from scenegen.base.stores import Place, Store, names_at, read_at, remove_at
+from scenegen.base.workers import run
+from scenegen.dataset import manifest
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.manifest import total_digest
+from scenegen.dataset.parameters import RAYS, differences, rays_digest, write_rays
+from scenegen.dataset.placed import (
+    find_reports,
+    read_notes,
+    remove_notes,
+    report_at,
+    write_note,
+)
+from scenegen.dataset.schema import NAME, SHARD_FILE, ShardEntry
+from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardSpec, read_report
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
-"""About what a voxel and a ray take on disk; half of it may do."""
+"""Approximate bytes on disk of a voxel (of a full or compact dataset) and of a ray. The true size
+may be half."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A dataset to be: all its parameters, and its shards."""
+    """A dataset to make: its manifest without shards, and its shards."""
 
-    folder: Path
-    parameters: Json
-    shards: tuple[ShardTask, ...]
-    lidars: tuple[Sensor, ...]
-    """The sensors of its samples."""
+    folder: Place
+    manifest: Manifest
+    shards: tuple[ShardSpec, ...]
+
+    @property
+    def name(self) -> str:
+        """Last part of its folder's path."""
+        return Path(str(self.folder)).name
 
     @property
     def samples(self) -> int:
-        """In all splits."""
+        """Number of samples in all splits."""
         return sum(shard.samples for shard in self.shards)
 
     @property
     def bytes_expected(self) -> int:
-        """A rough size on disk."""
-        each = FULL_BYTES if "tudf" in self.parameters["fields"] else COMPACT_BYTES
-        voxels = self.samples * math.prod(self.parameters["grid"]["shape"])
+        """Rough size on disk, bytes."""
+        voxel_bytes = FULL_BYTES if "tudf" in self.manifest.fields else COMPACT_BYTES
+        schema = self.manifest.schema
         rays = sum(
-            shard.samples * math.prod(shard.layout[name][1])
-            for shard in self.shards
-            for name in {"ranges", "earlier_ranges"} & shard.layout.keys()
+            math.prod(schema.shape(name)) for name in {"ranges", "earlier_ranges"} & {*schema.names}
         )
-        return int(each * voxels + RAY_BYTES * rays)
+        voxels = math.prod(schema.grid.shape)
+        return int(self.samples * (voxel_bytes * voxels + RAY_BYTES * rays))
 
 
 class State:
-    """The folder of a plan, as far as one run knows it.
+    """State of a plan's folder in one run.
 
-    The manifest is read here, and again only where another job may have written one meanwhile:
-    before this run's first shard, and before its signature. `force` allows another dataset in the
-    folder, which `open` then replaces.
+    The manifest is read at first, and again only where another job may have written it: before this
+    run's first shard, and before the manifest is completed.
 
-    Raises DatasetError unless the folder is free, or holds this dataset, or the beginning of it,
-    or, with `force`, another one. A manifest without a shard, left by a run that drew none, stands
-    in nobody's way.
+    Args:
+        plan: The plan.
+        force: Whether another dataset in the folder is accepted. `open` replaces it.
+
+    Raises:
+        DatasetError: unless the folder is free, or holds this dataset, the same with fewer samples,
+            or a manifest without shards.
     """
 
     def __init__(self, plan: Plan, *, force: bool = False):
         self.plan = plan
         self.reports: dict[str, ShardReport] = {}
-        """What is known of every shard that is there, by its file."""
+        """Reports of the known shards, by file."""
         self._force = force
-        self._smaller: trust.Manifest | None = None
-        """The dataset that this one begins with, as far as the folder holds it."""
-        self._there: Mapping[str, Version] | None = None
-        """What lies there, if that was just listed."""
-        self._written: Json = {}
-        """The manifest as it was read."""
+        self._names: Mapping[str, int | None] | None = None
+        """Names in the folder, if they were just listed."""
+        self._content = b""
+        """The manifest when it was read."""
         self._listed = self._read()
 
     @property
@@ -85,231 +98,251 @@ class State:
 
     @property
     def done(self) -> bool:
-        """Whether every shard is known, and the manifest that was read says just that."""
-        whole = len(self.reports) == len(self.plan.shards)
-        return whole and _text(self._written) == _text(self._final())
+        """Whether every shard is known, and the manifest says so."""
+        is_complete = len(self.reports) == len(self.plan.shards)
+        return is_complete and self._content == manifest.encode(self.current())
 
-    def _final(self) -> Json:
-        """The manifest of what is known."""
-        return manifest.assemble(
-            self.plan.parameters,
-            self.reports_of(self.plan.shards),
-            complete=len(self.reports) == len(self.plan.shards),
+    def current(self) -> Manifest:
+        """Manifest with the known shards."""
+        reports = self.reports_of(self.plan.shards)
+        complete = len(reports) == len(self.plan.shards)
+        rejected = {}
+        for subject in ("worlds", "viewpoints"):
+            counts = sum((Counter(report.rejected[subject]) for report in reports), Counter[str]())
+            rejected[subject] = dict(sorted(counts.items()))
+        return msgspec.structs.replace(
+            self.plan.manifest,
+            complete=complete,
+            shards=tuple(report.entry for report in reports),
+            rejected=rejected,
+            digest=total_digest([report.digests for report in reports]) if complete else None,
         )
 
-    def _read(self) -> Mapping[str, trust.Entry] | None:
-        """The shards that the manifest of this dataset lists, by file; None where there is none."""
+    def _read(self) -> Mapping[str, ShardEntry] | None:
+        """Entries of the shards that this dataset's manifest lists, by file; None if there is no
+        such manifest."""
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                self._there = names_in(folder)
+                self._names = names_at(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
-        names = sorted(name for name in self._there if not name.endswith(".tmp"))
+        names = sorted(name for name in self._names if not name.endswith(".tmp"))
         if not names:
             return None
-        if manifest.NAME not in names:
-            found_here = (shard for shard in self.plan.shards if shard.file in names)
-            if any(shard.tells and read_report((shard, None)) for shard in found_here):
+        if NAME not in names:
+            if self._has_shards_among(names):
                 return {}  # the manifest alone was lost
             raise DatasetError(
-                f"{folder}: holds files ({names[0]}, …), but no {manifest.NAME} and no sound "
+                f"{folder}: holds files ({names[0]}, …), but no {NAME} and no sound "
                 "shard of this dataset; choose another folder with --out"
             )
-        self._written = manifest.read(folder)
-        differing = manifest.differences(
-            manifest.completed(self._written), manifest.completed(self.plan.parameters)
-        )
-        former: trust.Manifest | None = None
-        with contextlib.suppress(BrokenError):
-            former = trust.parse(self._written, folder)
-        if not differing:
-            # if what it says of its shards is damaged, they are held against their own digests
-            return {} if former is None else {entry.file: entry for entry in former.shards}
-        if former is not None and all(line.startswith("counts.") for line in differing):
-            counts = self.plan.parameters["counts"]
-            if all(former.counts[split] <= counts[split] for split in SPLITS):
-                self._smaller = former
-                return {}
-        if not self._force and any(map(FILE_RULE.fits, names)):
-            more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
+        self._content = manifest.read_content(folder)
+        try:
+            existing = manifest.parse(self._content, Path(str(folder)))
+        except DatasetError as error:
+            if self._has_shards_among(names):
+                return {}  # the manifest alone is damaged
+            if self._force:
+                return None
             raise DatasetError(
-                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
+                f"{folder}/{NAME}: {error}; choose another folder with --out, or replace "
+                f"the dataset with --force"
+            ) from None
+        differing = differences(existing.parameters, self.plan.manifest.parameters)
+        # a dataset with more samples keeps all shards of the smaller one
+        grows = all(line.startswith("counts.") for line in differing) and all(
+            existing.counts[split] <= self.plan.manifest.counts[split] for split in SPLITS
+        )
+        if grows:
+            return {entry.file: entry for entry in existing.shards}
+        if not self._force and any(map(SHARD_FILE.fullmatch, names)):
+            rest = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
+            raise DatasetError(
+                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{rest}; choose "
                 "another folder with --out, or replace it with --force"
             )
         return None
 
-    def adopt(self) -> None:
-        """Make the shards of a smaller dataset this one's: they hold the same samples, and say of
-        how many they are.
+    def _has_shards_among(self, names: Sequence[str]) -> bool:
+        """Whether one of the files `names` is a valid shard of this dataset."""
+        candidates = (shard for shard in self.plan.shards if shard.file in names)
+        return any(report_at(self.plan.folder, (shard, None)) for shard in candidates)
 
-        A run that is killed on the way goes on, whichever of the two its manifest describes.
-        """
-        if self._smaller is None:
-            return
-        old = self._smaller.fingerprint
-        listed = {entry.file: entry for entry in self._smaller.shards}
-        for shard in self.plan.shards:
-            entry = listed.get(shard.file)
-            if entry is not None and entry.samples == shard.samples:
-                relabel(shard, old, entry)
-        self._there = None
-        self.look(self.plan.shards)
-        self.note()
-        self._smaller = None
+    def look(self, shards: Sequence[ShardSpec], *, workers: int = 1) -> None:
+        """Find existing shards that are not known yet, and are valid.
 
-    def look(self, shards: Sequence[ShardTask], *, workers: int = 1) -> None:
-        """Take in those of `shards` that are on disk, are not known yet, and are as the manifest
-        says.
+        Listed shards are compared with the sums in the manifest, others with the digests of their
+        samples.
 
-        The samples of those that it does not list are held against their own digests. Each worker
-        reads its part.
+        Args:
+            shards: The shards to look for.
+            workers: Number of processes that read them.
         """
         if self._listed is None:
             return
-        there = names_in(self.plan.folder) if self._there is None else self._there
-        self._there = None
-        folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
-        noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
-        listed = {**noted, **self._listed}
+        folder = self.plan.folder
+        names = names_at(folder) if self._names is None else self._names
+        self._names, listed = None, dict(self._listed)
+        if isinstance(folder, Path):
+            # the manifest takes precedence over notes of jobs
+            listed = read_notes(folder, self.plan.manifest.fingerprint) | listed
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
-            if shard.file not in self.reports and shard.file in there
+            if shard.file not in self.reports and shard.file in names
         ]
-        found = placed.look(there, tasks) if stored else run(read_report, tasks, workers)
-        self.reports |= {report.file: report for report in found if report is not None}
+        reports = (
+            find_reports(folder, names, tasks)
+            if isinstance(folder, Store)
+            else run(partial(read_report, folder), tasks, workers)
+        )
+        self.reports |= {report.entry.file: report for report in reports if report is not None}
 
     def open(self) -> None:
-        """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
-        `force` replaces.
+        """Prepare the folder for shards if some are missing. Only the dataset that `force` replaces
+        is removed.
 
-        Raises DatasetError where a file stands in the way that is of neither.
+        Raises DatasetError if another file has the name of a planned one.
         """
         if not self.done:
             self._begin()
-        write_rays(self.plan.lidars, self.plan.folder)
+        write_rays(self.plan.manifest.recipe.lidar, self.plan.folder)
 
     def _begin(self) -> None:
         folder = self.plan.folder
         with disk_told(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            # listed first: what comes later is another job's, and this dataset's
-            there = names_in(folder).keys()
-            self._listed, self._there = self._read(), None
-            remove_drafts(folder)
+            if isinstance(folder, Path):
+                folder.mkdir(parents=True, exist_ok=True)
+            # listed before the manifest is read: files that appear later belong to this dataset
+            names = names_at(folder).keys()
+            # read again, as another job may have begun the dataset meanwhile
+            self._listed, self._names = self._read(), None
+            self.clear()
         if not self.begun:
-            former = _former(folder, there)
+            existing = _former_files(folder, names)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
-            planned |= tables_of(self.plan.lidars).keys()
-            for name in sorted(planned & there - set(former)):
+            planned |= rays_digest(self.plan.manifest.tables.lidar).keys()
+            for name in sorted(planned & names - set(existing)):
                 raise DatasetError(
-                    f"{folder / name}: is of no dataset there; move it away, or choose another "
+                    f"{folder}/{name}: is of no dataset there; move it away, or choose another "
                     f"--out"
                 )
-            for name in former:  # before the manifest that says whose they are
-                (folder / name).unlink(missing_ok=True)
-            remove_notes(folder)
-        if not self.begun or manifest.NAME not in there:
+            for name in existing:  # before the manifest, which is needed to identify them
+                remove_at(folder, name)
+            self._remove_notes()
+        if not self.begun or NAME not in names:
             self.note()
             self._listed = self._listed or {}
-        with disk_told(folder):
-            for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
-                (folder / part).mkdir(exist_ok=True)
+        if isinstance(folder, Path):
+            with disk_told(folder):
+                # made once here, and not by every worker
+                for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
+                    (folder / part).mkdir(exist_ok=True)
 
-    def note(self, mine: Sequence[ShardTask] | None = None) -> None:
-        """Write down the shards that are known, for a run that is stopped: the next one hashes
-        their files, and not their samples. The manifest lists them; those of a job that sees to
-        `mine` alone stand in a file of its own."""
+    def clear(self) -> None:
+        """Remove temporary files of killed processes. Stores have none."""
+        if isinstance(self.plan.folder, Path):
+            remove_drafts(self.plan.folder)
+
+    def _remove_notes(self) -> None:
+        if isinstance(self.plan.folder, Path):
+            remove_notes(self.plan.folder)
+
+    def note(self, mine: Sequence[ShardSpec] | None = None) -> None:
+        """Record the known shards for the next run, which then compares sums of files instead of
+        digests of samples.
+
+        They are recorded in the manifest, or, for a job with only the shards `mine`, in its own
+        note.
+        """
         if mine is not None and len(mine) < len(self.plan.shards):
-            if isinstance(self.plan.folder, StorePath):
-                return  # a report lies beside each shard
-            parameters = manifest.fingerprint(self.plan.parameters)
-            write_note(
-                self.plan.folder, parameters, [shard.file for shard in mine], self.reports_of(mine)
-            )
+            if isinstance(self.plan.folder, Path):  # a store has a report beside each shard instead
+                files = [shard.file for shard in mine]
+                fingerprint = self.plan.manifest.fingerprint
+                write_note(self.plan.folder, fingerprint, files, self.reports_of(mine))
             return
-        manifest.write(self.plan.folder, self._final())
+        manifest.write(self.plan.folder, self.current())
 
-    def sign(self, *, workers: int = 1) -> Json:
-        """Write the manifest, complete if no shard is missing; the manifest.
+    def sign(self, *, workers: int = 1) -> Manifest:
+        """Write the manifest, which is complete if no shard is missing.
 
-        Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
-        shard looks at all of them; others leave what is not theirs alone, but look again once they
-        have written. A job whose shards are all in a complete manifest already is done.
+        Other jobs may write shards and manifests meanwhile. A job that finds all files examines all
+        shards; other jobs only list their own, and check again after writing. If a complete
+        manifest already lists all shards of this job, nothing is written.
         """
         if self.done:
-            remove_notes(self.plan.folder)
-            return dict(self._written)
+            self._remove_notes()
+            return self.current()
         while True:
-            if len(self.reports) < len(self.plan.shards) and self._is_signed(
-                there := manifest.read(self.plan.folder)
-            ):
-                return there
-            if whole := not self.absent():
+            # in a loop: jobs that finish at the same time could each miss the last shard of the
+            # other
+            content = manifest.read_content(self.plan.folder)
+            if len(self.reports) < len(self.plan.shards) and (signed := self._signed(content)):
+                return signed
+            if all_exist := not self.absent():
                 self.look(self.plan.shards, workers=workers)
-            final = self._final()
-            if _text(manifest.read(self.plan.folder)) != _text(final):
+            final = self.current()
+            if manifest.read_content(self.plan.folder) != manifest.encode(final):
                 manifest.write(self.plan.folder, final)
-            if final["complete"]:
-                remove_notes(self.plan.folder)
-            if whole or self.absent():
+            if final.complete:
+                self._remove_notes()
+            if all_exist or self.absent():
                 return final
 
-    def _is_signed(self, there: Json) -> bool:
-        """Whether the manifest `there` is complete, and lists what is known just so."""
-        if (
-            there.get("complete") is not True
-            or manifest.parameters_of(there) != self.plan.parameters
-        ):
-            return False
-        listed = {entry.get("file"): entry for entry in there["shards"] if isinstance(entry, dict)}
-        return all(listed.get(report.file) == report.entry() for report in self.reports.values())
+    def _signed(self, content: bytes) -> Manifest | None:
+        """Parse a manifest. Returns it if it is this dataset's, complete, and consistent with the
+        known shards."""
+        with contextlib.suppress(DatasetError):
+            other = manifest.parse(content)
+            listed = {entry.file: entry for entry in other.shards}
+            known = (report.entry for report in self.reports.values())
+            if (
+                other.complete
+                and other.parameters == self.plan.manifest.parameters
+                and all(listed.get(entry.file) == entry for entry in known)
+            ):
+                return other
+        return None
 
-    def absent(self) -> list[ShardTask]:
+    def absent(self) -> list[ShardSpec]:
         """Shards that are neither known nor on disk."""
-        there = self.reports.keys() | names_in(self.plan.folder).keys()
-        return [shard for shard in self.plan.shards if shard.file not in there]
+        names = self.reports.keys() | names_at(self.plan.folder).keys()
+        return [shard for shard in self.plan.shards if shard.file not in names]
 
-    def reports_of(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
-        """The reports of those of `shards` that are known, in their order."""
+    def reports_of(self, shards: Sequence[ShardSpec]) -> list[ShardReport]:
+        """Reports of the known ones among `shards`, in order."""
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _text(there: Json) -> str:
-    """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
-    return json.dumps(there, sort_keys=True)
+def _former_files(folder: Place, names: Set[str]) -> list[str]:
+    """Files of the dataset whose manifest is in the folder: its table of rays, listed shards, and
+    unlisted shards with its fingerprint; all shards if the manifest cannot be read.
 
-
-def _former(folder: Path, names: Set[str]) -> list[str]:
-    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
-    tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
-    or that of one of its sources. In an order that can be gone on with: worlds come before their
-    samples, which hold their digest."""
-    if manifest.NAME not in names:
+    Archives come before the samples that name their digest, so that an interrupted removal can
+    continue.
+    """
+    if NAME not in names:
         return []
-    there, found = manifest.read(folder), set[str]()
-    owners = [manifest.fingerprint(manifest.parameters_of(there))]
-    with contextlib.suppress(BrokenError, LookupError, TypeError):
-        # first: it needs no more of a damaged manifest than its sensors
-        found |= names & set(rays_named(there).values())
-        former = trust.parse(there, folder)
-        found |= names & former.files.keys()
-        owners += [source.fingerprint for source in former.sources]
-    for name in filter(FILE_RULE.fits, sorted(names - found)):
-        with open_bounded(folder / name, sys.maxsize) as file:
-            content = file.read()
+    shards = {name for name in names if SHARD_FILE.fullmatch(name)}
+    try:
+        existing = manifest.parse(manifest.read_content(folder))
+    except DatasetError:
+        return sorted({*shards, *({RAYS} & names)}, reverse=True)
+    owned = names & existing.files.keys()
+    for name in sorted(shards - owned):
+        content = read_at(folder, name, sys.maxsize - 1)
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
-            known = any(owner.encode() in content for owner in owners)
+            is_owned = existing.fingerprint.encode() in content
         elif samples in names:
-            known = samples in found
-        else:  # whose writer was killed before it put the samples beside them
-            known = content.startswith(ARCHIVE)
-        if known:
-            found.add(name)
-    return sorted(found, reverse=True)
+            is_owned = samples in owned
+        else:  # an archive without samples: its writer was killed in between
+            is_owned = content.startswith(ARCHIVE)
+        if is_owned:
+            owned.add(name)
+    return sorted(owned, reverse=True)

@@ -1,8 +1,8 @@
-"""Closed loop: a quadrotor with a LiDAR flies through a world to a goal, and a robot decides.
+"""Closed loop: a robot steers a quadrotor with a LiDAR through a world to a goal.
 
-`missions` draws starts and goals, `motion` moves the quadrotor, `simulation` senses and finds
-collisions, `loop` lets a robot fly and scores it. A robot may be a process of its own (`pipe`,
-`serve`). `course` keeps flights and flies them again; `environment` is for Gymnasium.
+`missions` draws starts and goals, `motion` moves the quadrotor, `simulation` senses and detects
+collisions, `loop` lets a robot fly and scores the flight. A robot may run in another process
+(`pipe`, `serve`). `course` writes and replays flights; `environment` is for Gymnasium.
 """
 
 from dataclasses import dataclass
@@ -11,31 +11,32 @@ from typing import Literal
 from lidarsim.parameters import Checked, number
 
 SUITES = ("aerial-1",)
-"""Courses that never change."""
+"""Names of the suites, whose courses never change."""
 PERIOD_S = 0.1
-"""From one decision of the robot to the next, seconds."""
+"""Time between decisions of the robot, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle(Checked):
-    """The quadrotor: a ball that may touch nothing, and what bounds its motion."""
+    """The quadrotor: a ball that must not touch anything, with bounds on its motion."""
 
     radius_m: float = number(0.3, above=0, below=1)
     """Radius of the ball, metres."""
     speed_mps: float = number(2.0, least=0.1, most=20)
-    """The most speed, metres a second."""
+    """Maximum speed, metres a second."""
     acceleration_mps2: float = number(4.0, least=0.1, most=50)
-    """The most acceleration, metres a second squared."""
+    """Maximum acceleration, metres a second squared."""
     jerk_mps3: float = number(30.0, least=1, most=1000)
-    """The most jerk, metres a second cubed."""
+    """Maximum jerk, metres a second cubed."""
     tilt_deg: float = number(30.0, above=0, most=80)
-    """The most that it leans, degrees: no acceleration is greater than the sine of this times
-    gravity, by which it leans less."""
+    """Maximum tilt, degrees. It also bounds the acceleration, to gravity times its sine, so that
+    the vehicle leans less than this."""
     yaw_rate_deg_s: float = number(90.0, above=0, most=360)
-    """The most that it turns, degrees a second."""
+    """Maximum yaw rate, degrees a second."""
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
-    """Whether it moves as these bounds say, or as a quadrotor of MuJoCo's that tracks such a
-    motion: with inertia, rotors' lag and drag, and bits that are those of one machine."""
+    """"kinematic": moves exactly within these bounds, with the same bits on every machine.
+    "mujoco": a quadrotor simulated by MuJoCo tracks that motion, with inertia, rotor lag and drag;
+    its bits differ between machines."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +44,12 @@ class Rules(Checked):
     """Which starts and goals are drawn, and when a flight ends."""
 
     apart_m: float = number(15.0, above=0, most=1000)
-    """Least distance from start to goal, metres; half the flight bounds' diagonal where that is
-    less, and a half or a quarter of it where no such pair is connected."""
+    """Minimum distance from start to goal, metres; at most half the diagonal of the flight bounds.
+    If no pair so far apart is connected, half or a quarter of it."""
     spare_m: float = number(0.3, least=0, most=1)
-    """How much farther than its radius the vehicle is from all solids at start and goal, and from
-    the flight bounds, metres; from these, a quarter of their extent where that is less."""
+    """Clearance at start and goal beyond the vehicle's radius, from solids and from the flight
+    bounds, metres; from the bounds at most a quarter of their extent."""
     reach_m: float = number(0.5, above=0, most=10)
-    """A flight succeeds this near to its goal, metres."""
+    """A flight succeeds within this distance of its goal, metres."""
     patience: float = number(10.0, least=1, most=1000)
-    """A flight ends after so many times the shortest way at full speed."""
+    """Time limit of a flight, as a multiple of the shortest way at full speed."""

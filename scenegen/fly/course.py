@@ -1,5 +1,5 @@
-"""A course: all that flights depend on, but for who decides. It is small, and travels to other
-processes; and a recording of flights through one, which are flown again from it."""
+"""A course: all that flights depend on, except the robot. It is small, and is sent to other
+processes. And recordings of flights through courses, with their replay."""
 
 import hashlib
 import json
@@ -18,90 +18,95 @@ from lidarsim.parameters import Checked, check, number
 from lidarsim.scan import mounted
 from lidarsim.sensors import RASTER
 from scenegen import __version__
-from scenegen.errors import DatasetError, GenerationError, printable
-from scenegen.files import Json, read_bounded
+from scenegen.base.errors import DatasetError, GenerationError, printable
+from scenegen.base.executors import processor
+from scenegen.base.files import Json
+from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SEED
+from scenegen.base.reading import read_bounded
+from scenegen.draw.source import named_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
-from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SEED
 from scenegen.logs import LogScan
-from scenegen.run.software import processor
-from scenegen.source import named_world
-from scenegen.tables import named_lidar, named_noise
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
+from scenegen.worlds.tables import named_lidar, named_noise
 from scenegen.worlds.world import AnyWorld
 
 FORMAT = 1
-"""Of recordings."""
+"""Version of the format of recordings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course(Checked):
-    """Missions through one world. Raises ValueError for values of other types, and ScenegenError,
-    where it is first used, for a world, a sensor or noise that cannot be."""
+    """Missions through one world.
+
+    Raises:
+        ValueError: A value is of another type, or out of bounds.
+        ScenegenError: At first use: there is no such world, sensor or noise.
+    """
 
     world: str
     """A kind of worlds, or a file: MJCF, or a map of a real place."""
     seed: int = number(0, least=0, most=MOST_SEED)
-    """What the world of a kind is drawn by, and the missions, and the noise."""
+    """Seed of the missions, of the noise, and of the world if `world` is a kind."""
     difficulty: str | None = None
-    """Of the kind's preset; None for its usual one."""
+    """Difficulty of the kind's preset; None for the usual one."""
     lidar: str | Sensor = RASTER
-    """The sensor's name, or its file; or a sensor, which no recording can name."""
+    """The sensor's name, its file, or the sensor itself, which a recording cannot hold."""
     noise: str = ""
-    """Stages of noise, as `--noise` has them."""
+    """Stages of noise, as for `--noise`."""
     moving: bool = False
-    """Whether each ray is cast from where the sensor is when its turn comes."""
+    """Whether each ray is cast from where the sensor is at the ray's time."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     rules: Rules = field(default_factory=Rules)
     flights: int = number(10, least=1)
-    """Missions."""
+    """Number of missions."""
     document: str = ""
-    """The first digits of the world's SHA-256, where it has to be this world."""
+    """First digits of the SHA-256 that the world must have; "" for any world."""
 
     @cached_property
     def sensor(self) -> Sensor:
-        """The sensor itself."""
+        """The sensor that `lidar` names."""
         return named_lidar(self.lidar)
 
     @cached_property
     def chain(self) -> Noise:
-        """The noise itself."""
+        """The noise that `noise` names."""
         return named_noise(self.noise or None, self.sensor)
 
     @cached_property
     def drawn(self) -> AnyWorld:
-        """The world itself."""
-        found = named_world(self.world, self.seed, self.difficulty)
-        check_document(hashlib.sha256(found.mjcf).hexdigest(), self)
-        return found
+        """The world that `world` names. Raises GenerationError if its hash is another."""
+        world = named_world(self.world, self.seed, self.difficulty)
+        check_document(hashlib.sha256(world.mjcf).hexdigest(), self)
+        return world
 
     @cached_property
     def missions(self) -> Sequence[Mission]:
-        """See `draw_missions`."""
+        """The missions, see `draw_missions`."""
         return draw_missions(self.drawn, self.vehicle, self.rules, self.flights, seed=self.seed)
 
     @cached_property
     def simulated(self) -> AnyWorld:
-        """The world as it is flown through: what is unknown of a map is free there, as for rays,
-        since no robot can see where knowledge ends."""
+        """The world for the flight itself. Unknown voxels of a map are free in it, as they are for
+        rays, since no robot can see which voxels a map knows."""
         drawn = self.drawn
         return replace(drawn, opened=True) if isinstance(drawn, Place) else drawn
 
     def graded(self) -> list[Difficulty]:
-        """How hard each mission is."""
+        """Return the difficulty of each mission."""
         return graded(self.drawn, self.vehicle.radius_m, self.missions)
 
     @property
     def sha256(self) -> str:
-        """Of the world's document."""
+        """SHA-256 of the world's document."""
         return hashlib.sha256(self.drawn.mjcf).hexdigest()
 
     def simulation(self, number: int) -> Simulation:
-        """Mission `number`, about to begin."""
+        """Return a new simulation of mission `number`."""
         return Simulation(
             self.simulated,
             self.missions[number],
@@ -115,48 +120,60 @@ class Course(Checked):
 
 
 def check_document(sha256: str, course: Course) -> None:
-    """Raise GenerationError where a world's hash is not that of a course."""
+    """Check that a world is the one that a course means.
+
+    Args:
+        sha256: The world's hash.
+        course: The course, whose `document` has the first digits.
+
+    Raises:
+        GenerationError: The hash does not begin with these digits.
+    """
     if not sha256.startswith(course.document):
         raise GenerationError(
-            f"{course.world}, seed {course.seed}: another world than the suite or the recording is "
-            "of; take the file, and the version of scenegen, that they were made with"
+            f"{course.world}, seed {course.seed}: is another world than in the suite or the "
+            "recording; use the same file, and the same version of scenegen"
         )
 
 
 FlownCourse = tuple[Course, Sequence[Flown]]
-"""A course, and all flights through it, in the order of its missions."""
+"""A course, and the flights through it, in the order of its missions."""
 Flights = Sequence[FlownCourse]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """Flights, as a file keeps them: all but the ways, which follow from the commands."""
+    """Flights as a file holds them: without paths, which follow from the commands."""
 
     robot: str
     """The robot's name."""
     network: str = ""
-    """SHA-256 of the file of the network that the robot had complete; "" without one."""
+    """SHA-256 of the file of the robot's network; "" for a robot without one."""
     suite: str | None
-    """The suite that it flew, where it did."""
+    """The suite that was flown; None for other courses."""
     track: str = ""
-    """Which of the suite's courses; see `scenegen.fly.suite.track_name`. "" where a recording of
-    an earlier commit does not say."""
+    """Track of the suite, see `scenegen.fly.suite.track_name`. "" in recordings of earlier
+    versions."""
     complete: bool = False
-    """Whether these are all courses."""
+    """Whether all courses of the track were flown."""
     courses: Flights
 
     def encoded(self) -> bytes:
-        """As JSON, with what it was flown on. Commands are float32 in as many digits as tell them
-        from all others. The maps of a suite are named without their folders."""
-        found = []
+        """Return the recording as JSON, with the versions and the machine it was flown on.
+
+        Commands are float32, in the fewest digits that restore all bits. Maps of a suite are named
+        without their folder, so that recordings of two machines compare.
+        """
+        entries = []
         for course, flights in self.courses:
             rows = [
-                one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
-                for one in flights
+                flown.row() | {"commands": [[float(str(x)) for x in row] for row in flown.commands]}
+                for flown in flights
             ]
-            about = asdict(course) | {"document": course.document or course.sha256}
-            about["world"] = Path(course.world).name if self.suite else course.world
-            found.append({"course": about, "flights": rows})
+            settings = asdict(course) | {"document": course.document or course.sha256}
+            # other machines have the suite's maps in other folders
+            settings["world"] = Path(course.world).name if self.suite else course.world
+            entries.append({"course": settings, "flights": rows})
         text = {
             "format": FORMAT,
             "scenegen": __version__,
@@ -165,41 +182,53 @@ class Recording:
             "machine": platform.platform(),
             "cpu": processor(),
         }
-        return (json.dumps(text | vars(self) | {"courses": found}) + "\n").encode()
+        return (json.dumps(text | vars(self) | {"courses": entries}) + "\n").encode()
 
-    @classmethod
-    def read(cls, path: Path) -> "Recording":
-        """Raises DatasetError for a file that is no recording."""
-        try:
-            text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
-            if text["format"] != FORMAT:
-                raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
-            courses = []
-            for one in text["courses"]:
-                about = dict(one["course"])
-                parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
-                course, flights = Course(**about | parts), [*map(_flown, one["flights"])]
-                if len(flights) != course.flights:
-                    raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
-                courses.append((course, flights))
-            names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
-            suite, whole = text["suite"], bool(text.get("complete"))
-            return cls(suite=suite and printable(suite), complete=whole, courses=courses, **names)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            said = f"{type(error).__name__}: {printable(error)}"[:200]
-            raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
+
+def read_recording(path: Path) -> Recording:
+    """Read a file that holds `Recording.encoded`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The recording; its flights have no path yet.
+
+    Raises:
+        DatasetError: The file cannot be read, or is not a recording of this format.
+    """
+    try:
+        text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
+        if text["format"] != FORMAT:
+            raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
+        courses = []
+        for entry in text["courses"]:
+            settings = dict(entry["course"])
+            parts = {"vehicle": Vehicle(**settings["vehicle"]), "rules": Rules(**settings["rules"])}
+            course, flights = Course(**settings | parts), [*map(_flown, entry["flights"])]
+            if len(flights) != course.flights:
+                raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
+            courses.append((course, flights))
+        names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
+        suite, whole = text["suite"], bool(text.get("complete"))
+        return Recording(suite=suite and printable(suite), complete=whole, courses=courses, **names)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {printable(error)}"[:200]
+        raise DatasetError(f"{path}: is not a recording of flights ({reason}); fly again") from None
 
 
 def _flown(row: Json) -> Flown:
-    """A flight of a recording. Raises ValueError for figures that cannot be."""
+    """Decode a flight of a recording. Raises ValueError if its figures are impossible."""
     numbers = numbers_of(row["commands"])
     if numbers is None:
         raise ValueError("commands that are not numbers")
     commands = numbers.reshape(-1, 4).astype(np.float32)
+    # the commands and the path are not checked as parameters: they are arrays
     flown = Flown(**row | {"commands": HOVER, "path": np.empty((0, 3))})
     check(flown)
     if not np.isfinite(commands).all():
         raise ValueError("commands that are not finite")
+    # a flight ends within its last period
     if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
     return replace(flown, commands=commands)
@@ -208,34 +237,50 @@ def _flown(row: Json) -> Flown:
 def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
     """Fly the recorded commands of a course again.
 
-    A flight that the simulation does not end is taken for one that the robot ended, in the way that
-    is recorded. What commands do not tell, such as the times of decisions, is as recorded, too.
+    If the simulation does not end a flight, the robot did, and the recorded outcome holds. Figures
+    that do not follow from commands, such as decision times, are copied from the recording.
+
+    Args:
+        course: The course.
+        flights: Its recorded flights, in the order of its missions.
+
+    Returns:
+        The flights, with their paths.
 
     Raises:
-        DatasetError: A flight is not as it was recorded.
-        GenerationError: The world is another one than then, or has fewer missions.
+        DatasetError: A flight differs from its recording.
+        GenerationError: The world is another one, or has fewer missions.
     """
-    found = []
+    replayed = []
     for n, flown in enumerate(flights):
         simulation = course.simulation(n)
         count = sum(1 for _ in flown_again(simulation, flown))
         if simulation.outcome is None:
+            # a recording cannot claim a success that the simulation did not see
             simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
         again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
         if faults := unlike(flown, again):
             raise DatasetError(
-                f"flight {n} through {course.world}, seed {course.seed}, is not as it was "
-                f"recorded: {faults[0]}"
+                f"flight {n} through {course.world}, seed {course.seed}, differs from its "
+                f"recording: {faults[0]}"
             )
-        found.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
-    return found
+        replayed.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
+    return replayed
 
 
 def flown_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
-    """What was seen on a flight, while its commands are flown again."""
+    """Fly recorded commands again, as far as they are valid and the flight lasts.
+
+    Args:
+        simulation: A new simulation of the mission; it is moved.
+        flown: The recorded flight.
+
+    Yields:
+        The robot's observation before each command.
+    """
     for command in flown.commands:
-        given, exceeds = bounded(command, simulation.vehicle)
-        if simulation.outcome is not None or given is None or exceeds:
+        commands, exceeds = bounded(command, simulation.vehicle)
+        if simulation.outcome is not None or commands is None or exceeds:
             return
         seen = simulation.observe()
         simulation.step(command)
@@ -243,7 +288,16 @@ def flown_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
 
 
 def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
-    """The log of a flight: what its sensor saw ten times a second, and when, from its own pose."""
+    """Make a log of a flight, with a scan for every period.
+
+    Args:
+        course: The course.
+        number: Number of the mission.
+        flown: The recorded flight.
+
+    Yields:
+        Scans, with the sensor's pose in the world and points in the sensor's frame, metres.
+    """
     simulation = course.simulation(number)
     sensor = simulation.sensor
     arm = mounted(sensor, Pose.level((0.0, 0.0, 0.0), 0.0)).position
@@ -251,5 +305,5 @@ def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     for seen in flown_again(simulation, flown):
         hit = np.isfinite(seen["ranges"])
         pose = mounted(sensor, Pose(seen["position"], seen["quaternion"]))
-        points = seen["points"][hit].astype(np.float64) - arm
+        points = seen["points"][hit].astype(np.float64) - arm  # from the body to the sensor
         yield LogScan(float(seen["time_s"][0]), pose, points, {"t": times[hit]})

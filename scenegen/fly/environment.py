@@ -10,35 +10,34 @@ import numpy as np
 from gymnasium import spaces
 
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.errors import DatasetError, ScenegenError, raised_as, short, whole_number
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as, short, whole_number
 from scenegen.fly.course import Course
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
-from scenegen.tables import check_name, field_names, from_table
+from scenegen.worlds.tables import check_name, field_names, from_table
 
 NAME = "scenegen/Fly-v0"
 MAX_PERIODS = 10
 OPTIONS = tuple(sorted(field_names(Course) - {"world", "seed", "flights", "document"}))
-"""Fields of a course that the environment takes by name. Others are its own."""
+"""Fields of a course that are options of the environment; it sets the others itself."""
 RESET_OPTIONS = ("seed", "world", "difficulty")
 
 
 class FlightError(ScenegenError, ValueError):
-    """The environment is made, or used, in a way that cannot be."""
+    """The environment got a wrong argument, or was used out of order."""
 
 
 class Flight(gymnasium.Env[Observation, Command]):
     """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
 
-    An observation is that of `Simulation.observe`, but for `ranges`, which are the sensor's maximum
-    range where nothing returned; all its spaces are bounded. An action is a velocity in the world,
-    m/s, and a rate of yaw, rad/s, (4,), flown for a tenth of a second; or those of several
-    `periods` to come, (periods, 4), flown one after the other before the next observation. The
-    reward is how many metres nearer the goal is, and 10 at the goal, -10 at a collision or beyond
-    the bounds. Each episode has a world of its own, drawn by the environment's generator, or, of a
-    file, a mission of its own.
+    An observation is that of `Simulation.observe`, except that `ranges` are the sensor's maximum
+    range where nothing returned, so that all spaces are bounded. An action is a velocity in the
+    world, m/s, and a yaw rate, rad/s, (4,), flown for a tenth of a second; or those of several
+    `periods`, (periods, 4), flown one after the other before the next observation. The reward is
+    the decrease of the distance to the goal, metres, plus 10 at the goal and minus 10 at a
+    collision or beyond the bounds. Each episode draws a new world, or for a file, a new mission.
 
-    The environment can be copied and pickled; the copy flies on as the original does.
+    The environment can be copied and pickled; a copy continues exactly like the original.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium has it)
@@ -61,21 +60,21 @@ class Flight(gymnasium.Env[Observation, Command]):
                 seed.
 
         Raises:
-            ScenegenError: An option is unknown, or not of its type; the world, the sensor or the
-                noise cannot be; or the world is too narrow.
+            ScenegenError: An option is unknown, or of another type; there is no such world, sensor
+                or noise; or the world is too narrow.
         """
         if render_mode is not None:
             raise FlightError(
-                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen fly --film` "
-                "draws flights"
+                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen "
+                "fly world --film` draws flights"
             )
         with raised_as(FlightError, of=DatasetError):
             periods = whole_number(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
         for name in options:
             check_name(name, ("world", "periods", *OPTIONS), "option", NAME)
         world = str(world) if isinstance(world, Path) else world
-        about = {"world": world, "seed": 0, "flights": 1} | options
-        self._course: Course = from_table(Course, about, NAME, Path())
+        table = {"world": world, "seed": 0, "flights": 1} | options
+        self._course: Course = from_table(Course, table, NAME, Path())
         self.render_mode = render_mode
         vehicle = self._course.vehicle
         turn = math.radians(vehicle.yaw_rate_deg_s)
@@ -83,7 +82,7 @@ class Flight(gymnasium.Env[Observation, Command]):
         if periods > 1:
             high = np.tile(high, (periods, 1))
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
-        # of a flight that may begin, so that what cannot be is refused now
+        # by a real simulation, so that a wrong world or sensor is refused here, not in `reset`
         self.observation_space = _space(self._course.simulation(0))
         self._flying: Simulation | None = None
 
@@ -94,25 +93,24 @@ class Flight(gymnasium.Env[Observation, Command]):
 
         Args:
             seed: Seeds the environment's generator.
-            options: The `seed` of the course, which is drawn otherwise, and a `world` and
-                `difficulty` other than the environment's.
+            options: The `seed` of the course, which is drawn by default; another `world` and
+                `difficulty` than the environment's.
 
         Returns:
-            The first observation; and a dictionary with the course's `seed`, and `about`, the
-            mission as robots get it.
+            The first observation; and a dictionary with the course's `seed`, and in `about` the
+            mission, see `Simulation.about`.
 
         Raises:
-            ScenegenError: An option is unknown, not of its type, or cannot be; or the world is too
-                narrow.
+            ScenegenError: An option is unknown or not valid, or the world is too narrow.
         """
         super().reset(seed=seed)
         where = f"{NAME}: reset: options"
         if options is not None and not isinstance(options, Mapping):
             raise FlightError(f"{where} = {short(options)}: expected a dictionary")
-        about = {"seed": int(self.np_random.integers(2**31))} | dict(options or {})
-        for name in about:
+        table = {"seed": int(self.np_random.integers(2**31))} | dict(options or {})
+        for name in table:
             check_name(name, RESET_OPTIONS, "option", where)
-        course: Course = from_table(self._course, about, where, Path())
+        course: Course = from_table(self._course, table, where, Path())
         self._flying = course.simulation(0)
         return self._observed(), {"seed": course.seed, "about": self._flying.about()}
 
@@ -120,14 +118,14 @@ class Flight(gymnasium.Env[Observation, Command]):
         """Fly an action, or its first periods if the flight ends there.
 
         Args:
-            action: Of `action_space`; greater speeds are cut.
+            action: Of `action_space`; greater speeds are clipped.
 
         Returns:
-            Observation, reward, whether the flight ended, whether its time is over; and its
-            `outcome` once there is one.
+            Observation, reward, whether the flight ended, whether its time is over, and a
+            dictionary with its `outcome` once it ended.
 
         Raises:
-            FlightError: No flight is under way, or `action` is of another shape or not finite.
+            FlightError: No flight has begun, or `action` has another shape or is not finite.
         """
         flying = self._flying
         if flying is None or flying.outcome is not None:
@@ -143,16 +141,21 @@ class Flight(gymnasium.Env[Observation, Command]):
         for command in commands:
             if flying.outcome is None:
                 reward += flying.step(command)
+        # Gymnasium counts running out of time as a truncation, not an end
         ended = flying.outcome not in (None, "timeout")
         info: dict[str, Any] = {"outcome": flying.outcome} if flying.outcome else {}
         return self._observed(), reward, ended, flying.outcome == "timeout", info
 
     def render(self) -> None:
-        """Raise FlightError: there are no pictures."""
-        raise FlightError(f"{NAME}: renders nothing; `scenegen fly --film` draws flights")
+        """Refuse to render.
+
+        Raises:
+            FlightError: Always; there are no pictures.
+        """
+        raise FlightError(f"{NAME}: renders nothing; `scenegen fly world --film` draws flights")
 
     def _observed(self) -> Observation:
-        """What the robot sees now, within the space."""
+        """Return the observation, clipped to its space: inf becomes the maximum range."""
         assert self._flying is not None
         boxes: Any = self.observation_space
         return {
@@ -162,14 +165,14 @@ class Flight(gymnasium.Env[Observation, Command]):
 
 
 def _space(simulation: Simulation) -> spaces.Dict:
-    """The space of observations of any course with this sensor, vehicle and rules.
+    """Return the space of observations of any course with this sensor, vehicle and rules.
 
-    Places are as large as worlds may be, for the next course may be through any. The kinematic
-    motion keeps its greatest speed, and MuJoCo's stays near it.
+    Positions may be anywhere in the largest world, since `reset` may choose another world. The
+    kinematic motion keeps the maximum speed; MuJoCo's may exceed it, hence twice that.
     """
-    about, speed = simulation.about(), simulation.vehicle.speed_mps
-    range_m = float(about["max_range_m"])
-    reach_m = range_m + float(np.linalg.norm(about["lever_arm_m"]))
+    facts, speed = simulation.about(), simulation.vehicle.speed_mps
+    range_m = float(facts["max_range_m"])
+    reach_m = range_m + float(np.linalg.norm(facts["lever_arm_m"]))
     bounds = {
         "ranges": (0.0, range_m),
         "points": (-reach_m, reach_m),

@@ -1,4 +1,4 @@
-"""A robot flies a mission: it sees, decides, and moves, ten times a second; and how well it did."""
+"""The loop of a flight: a robot observes, decides, and moves; and its scores."""
 
 import math
 import time
@@ -10,31 +10,35 @@ import numpy as np
 
 from lidarsim.grid import Floats
 from lidarsim.parameters import number
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.fly import PERIOD_S
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
 
 
 class Robot(Protocol):
-    """What decides where to fly. One of your own is a class with these two, made without
+    """Decides where to fly. A user's own robot is a class with these two methods, made without
     arguments."""
 
     def reset(self, about: Observation) -> None:
-        """A flight begins; see `Simulation.about`."""
+        """Begin a flight; see `Simulation.about`."""
         ...
 
     def act(self, observation: Observation) -> Any:
-        """Velocity in the world, m/s, and rate of yaw, rad/s, (4,); or those of up to ten periods
-        to come, (n, 4), of which the later ones are flown where the next answers are none.
+        """Decide how to fly.
 
-        `observation` is that of `Simulation.observe`.
+        Args:
+            observation: See `Simulation.observe`.
+
+        Returns:
+            Velocity in the world, m/s, and yaw rate, rad/s, (4,); or a plan of up to ten periods,
+            (n, 4), whose later rows are flown if the next answers are invalid.
         """
         ...
 
 
 class RobotError(ScenegenError):
-    """A robot ended, or had to be ended; `outcome` says why."""
+    """A robot failed during a flight; `outcome` says how."""
 
     def __init__(self, outcome: Outcome, text: str):
         super().__init__(text)
@@ -43,12 +47,12 @@ class RobotError(ScenegenError):
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """One flight of a robot. Lengths and times are those until it ended."""
+    """One flight of a robot. Lengths and times count until it ended."""
 
     outcome: Outcome
     score: float
-    """BARN's (Xiao et al. 2022): 0, or T* / clip(T, 2 T*, 8 T*) for a success, where T* is the
-    shortest way at full speed."""
+    """Score of BARN (Xiao et al. 2022): T* / clip(T, 2 T*, 8 T*) for a success, where T* is the
+    time of the shortest way at full speed; else 0."""
     spl: float
     """Success weighted by path length (Anderson et al. 2018)."""
     time_s: float
@@ -62,58 +66,70 @@ class Flown:
     speed_mps: float
     """Mean speed, metres a second."""
     min_clearance_m: float
-    """Least distance of the vehicle's centre from a solid, at most 1 m, metres."""
+    """Minimum distance of the vehicle's centre from a solid, capped at 1 m, metres."""
     mean_clearance_m: float
-    """Its mean over time, metres."""
+    """Mean of that distance over time, metres."""
     jerk_mps3: float
     """Root mean square of the jerk, metres a second cubed."""
     step_s: float
-    """Mean time for a decision by the clock, seconds."""
+    """Mean wall-clock time of a decision, seconds."""
     most_step_s: float
-    """The longest, seconds."""
+    """Maximum of that time, seconds."""
     late: int
     """Decisions that took longer than a period."""
     invalid: int
-    """Answers that were no action: NaN, or of another shape."""
+    """Answers that were not an action: NaN, or of another shape."""
     speeding: int
-    """Answers beyond the vehicle's bounds, which were cut."""
+    """Answers beyond the vehicle's bounds, which were clipped."""
     digest: str
-    """SHA-256 of all that was seen and flown."""
+    """SHA-256 of all ranges and states."""
     trouble: str = ""
-    """What the robot died of."""
+    """The error of a robot that failed."""
     commands: Command = field(repr=False)
-    """(periods, 4): what was flown, m/s and rad/s."""
+    """(periods, 4): commands as flown, m/s and rad/s."""
     path: Floats = field(repr=False)
-    """(n, 3): the way, world metres, a point a period."""
+    """(n, 3): positions, one a period, metres in the world."""
 
     def row(self) -> dict[str, Any]:
-        """All but the last two, by name."""
-        return {name: value for name, value in vars(self).items() if name not in UNSAID}
+        """Return all figures by name, without the arrays."""
+        return {name: value for name, value in vars(self).items() if name not in UNLISTED}
 
 
-UNSAID = ("commands", "path")
+UNLISTED = ("commands", "path")
+"""Fields of a flight that are arrays, and in no table."""
 CLAIMED = ("step_s", "most_step_s", "late", "invalid", "speeding", "trouble")
-"""Parts of a flight that its commands do not tell: only who let the robot fly knows them."""
+"""Figures that do not follow from the commands: a replay cannot check them."""
 ROBOTS_END = ("crashed", "hung", "flooded")
-"""Outcomes that are the robot's doing: the vehicle itself could have flown on."""
+"""Outcomes of failed robots: the simulation itself could have continued."""
 HOVER = np.zeros((1, 4), np.float32)
 
 
 def fly(simulation: Simulation, robot: Robot) -> Flown:
-    """Let `robot` fly the mission. Whatever it does is counted, and raises nothing: without an
-    action of its own, the vehicle flies the rest of the plan that it gave last, and then hovers."""
+    """Let a robot fly a mission.
+
+    Errors of the robot are counted, and raise nothing. After an invalid answer the vehicle flies
+    the rest of the robot's last plan, and then hovers.
+
+    Args:
+        simulation: A new simulation of the mission; it is moved.
+        robot: The robot.
+
+    Returns:
+        The flight and its scores.
+    """
     commands, times = list[Command](), list[float]()
     plan, counts, trouble = HOVER, Counter[str](), ""
     try:
-        _asked(robot.reset, simulation.about())
+        _call(robot.reset, simulation.about())
         while simulation.outcome is None:
             seen, begin = simulation.observe(), time.perf_counter()
-            action = _asked(robot.act, seen)
+            action = _call(robot.act, seen)
             times.append(time.perf_counter() - begin)
-            given, exceeds = bounded(action, simulation.vehicle)
+            valid, exceeds = bounded(action, simulation.vehicle)
             counts["speeding"] += exceeds
-            counts["invalid"] += given is None
-            plan = (plan[1:] if len(plan) > 1 else HOVER) if given is None else given
+            counts["invalid"] += valid is None
+            # a late or wrong answer must not stop a vehicle in motion: its plan goes on
+            plan = (plan[1:] if len(plan) > 1 else HOVER) if valid is None else valid
             commands.append(plan[0])
             simulation.step(plan[0])
     except RobotError as error:
@@ -121,8 +137,8 @@ def fly(simulation: Simulation, robot: Robot) -> Flown:
     return scored(simulation, commands, times, counts, trouble)
 
 
-def _asked(method: Any, observation: Observation) -> Any:
-    """What a robot says; whatever it raises is a RobotError."""
+def _call(method: Any, observation: Observation) -> Any:
+    """Call a method of a robot; turn anything that it raises into RobotError."""
     try:
         return method(observation)
     except RobotError:
@@ -138,7 +154,18 @@ def scored(
     counts: Counter[str],
     trouble: str,
 ) -> Flown:
-    """What came of a flight; for the arguments see `Flown`."""
+    """Score a flight that has ended.
+
+    Args:
+        simulation: The mission after the flight.
+        commands: Commands as flown, (4,) each.
+        times: Wall-clock time of each decision, seconds.
+        counts: How many answers were `invalid`, and how many `speeding`.
+        trouble: The robot's error, or "".
+
+    Returns:
+        The flight and its scores.
+    """
     assert simulation.outcome is not None
     measured, shortest = simulation.measured(), simulation.mission.shortest_m
     time_s, success = simulation.time_s, simulation.outcome == "success"
@@ -164,8 +191,15 @@ def scored(
 def marks(
     success: bool, time_s: float, flown_m: float, shortest_m: float, best_s: float
 ) -> dict[str, float]:
-    """`score`, `spl` and `ratio` of a flight, see `Flown`; `best_s` is what the shortest way takes
-    at full speed."""
+    """Return `score`, `spl` and `ratio` of a flight, see `Flown`.
+
+    Args:
+        success: Whether it reached its goal.
+        time_s: Time flown, seconds.
+        flown_m: Length flown, metres.
+        shortest_m: Length of the shortest way, metres.
+        best_s: Time of the shortest way at full speed, seconds.
+    """
     return {
         "score": success * best_s / min(max(time_s, 2 * best_s), 8 * best_s),
         "spl": success * shortest_m / max(shortest_m, flown_m),
@@ -174,14 +208,27 @@ def marks(
 
 
 def unlike(flown: Flown, again: Flown) -> list[str]:
-    """In which figures a recorded flight is not what its commands give `again`, as texts. Commands,
-    bits and outcome must be equal; sums may be rounded otherwise by another machine."""
-    found = []
+    """Compare a recorded flight with its replay.
+
+    Commands, digest and outcome must be equal; other machines may round sums differently.
+
+    Args:
+        flown: The flight as recorded.
+        again: The flight as its commands give it.
+
+    Returns:
+        A line for each figure that differs.
+    """
+    differences = []
     for name, value in again.row().items():
-        there = getattr(flown, name)
-        near = isinstance(value, float) and math.isclose(value, there, rel_tol=1e-9, abs_tol=1e-12)
-        if name not in CLAIMED and not near and there != value:
-            found.append(f"{name} is {there} there, {value} flown again")
+        recorded = getattr(flown, name)
+        near = isinstance(value, float) and math.isclose(
+            value, recorded, rel_tol=1e-9, abs_tol=1e-12
+        )
+        if name not in CLAIMED and not near and recorded != value:
+            differences.append(f"{name} is {recorded} there, {value} flown again")
     if len(flown.commands) != len(again.commands):
-        found.append(f"{len(flown.commands)} commands there, {len(again.commands)} flown again")
-    return found
+        differences.append(
+            f"{len(flown.commands)} commands there, {len(again.commands)} flown again"
+        )
+    return differences

@@ -1,4 +1,4 @@
-"""Starts and goals by rule: free, far apart, and connected; and how long the shortest way is."""
+"""Draws missions: a start and a goal that are free, far apart and connected by a path."""
 
 import math
 from collections.abc import Sequence
@@ -9,50 +9,55 @@ import numpy as np
 
 from lidarsim import GridSpec
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.errors import GenerationError
+from scenegen.base.errors import GenerationError
 from scenegen.fly import Rules, Vehicle
 from scenegen.truth import distance_field
-from scenegen.truth.difficulty import Difficulty, way_difficulty
-from scenegen.truth.search import NO_RISK, search
+from scenegen.truth.difficulty import NO_RISK, Difficulty, search, way_difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 
 VOXEL_M = 0.1
-"""Edge of the voxels through which the shortest way is searched, metres."""
+"""Edge of the voxels of the search for the shortest way, metres."""
 MARGIN = 10
-"""Voxels around the flight bounds whose solids count, too."""
+"""Voxels around the flight bounds whose solids count."""
 TRIES = {World: 200, Place: 10_000}
-"""Pairs drawn for each mission before a world counts as too narrow. Most of a map is unknown."""
-
+"""Pairs drawn for a mission before a world counts as too narrow; more for a map, which is mostly
+unknown."""
 ROOMS = 20
 """Parts of a map that are tried for a mission before the map counts as too narrow."""
-
 Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """From where to where a robot flies."""
+    """A start and a goal, in the world."""
 
     start: Point
-    """World metres."""
+    """Where the robot starts, metres."""
     goal: Point
-    """World metres."""
+    """Where it has to fly, metres."""
     shortest_m: float
-    """Length of the shortest way that is known, metres: A*'s through the truth, straightened."""
+    """Length of the path by A* through the truth, straightened, metres."""
     bounds: tuple[Point, Point]
-    """Least and greatest corner of the box that the vehicle's centre may not leave, metres."""
+    """Lower and upper corner of the box that the vehicle's centre must not leave, metres."""
 
 
 def draw_missions(
     world: AnyWorld, vehicle: Vehicle, rules: Rules, count: int, *, seed: int
 ) -> list[Mission]:
-    """`count` missions through a world, by `seed`. A mission does not depend on how many are drawn.
+    """Draw missions through a world. A mission does not depend on how many are drawn.
+
+    Args:
+        world: The world.
+        vehicle: The vehicle, which must fit.
+        rules: Distance and clearance of start and goal.
+        count: Number of missions.
+        seed: Seed of the missions.
 
     Raises:
         GenerationError: The world is too narrow.
     """
-    found: list[Mission] = []
+    missions: list[Mission] = []
     room = None
     for number in range(count):
         rng = np.random.default_rng([seed, number])
@@ -60,41 +65,43 @@ def draw_missions(
             bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
             if room is None or not np.array_equal(bounds, room.bounds):
                 room = _room(world, bounds, vehicle.radius_m)
-            elif n:  # it has none, as was found
+            elif n:  # a world has one room: trying it again would fail again
                 continue
             apart = min(rules.apart_m, math.dist(*bounds) / 2)
+            # as far apart as the rules say, else half, else a quarter as far
             tries = (
                 _draw(world, vehicle, rules, apart / part, room, rng=rng) for part in (1, 2, 4)
             )
             if drawn := next(filter(None, tries), None):
-                found.append(drawn)
+                missions.append(drawn)
                 break
         else:
             raise GenerationError(
                 f"no start and goal {apart / 4:g} m apart with a way between; give a smaller "
                 "--apart or --radius, or another world"
             )
-    return found
+    return missions
 
 
 class _Room(NamedTuple):
-    """Where missions are drawn."""
+    """Voxels of a part of a world in which missions are drawn."""
 
     bounds: Floats
     """See `Mission.bounds`, (2, 3)."""
     grid: GridSpec
-    """Over the bounds, and `MARGIN` voxels around them."""
+    """The grid, over the bounds and `MARGIN` voxels around them."""
     origin: Floats
-    """The grid's least corner (3,), metres."""
+    """The grid's lower corner in the world (3,), metres."""
     blocked: Mask
-    """(*grid.shape): where a ball's centre may not be."""
+    """(*grid.shape): voxels in which the vehicle's centre would collide."""
     solid: Mask
-    """(*grid.shape): what is not known to be free."""
+    """(*grid.shape): voxels that are occupied or unknown."""
     tudf: Field
-    """(*grid.shape): distances from what is `solid`, metres."""
+    """(*grid.shape): distance from the nearest solid voxel, metres."""
 
 
 def _room(world: AnyWorld, bounds: Floats, radius_m: float) -> _Room:
+    """Return the voxels within `bounds` (2, 3) for a vehicle of this radius."""
     shape = np.ceil((bounds[1] - bounds[0]) / VOXEL_M).astype(int) + 2 * MARGIN
     x, y, z = shape.tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=VOXEL_M)
@@ -105,30 +112,40 @@ def _room(world: AnyWorld, bounds: Floats, radius_m: float) -> _Room:
     tudf = distance_field(solid, grid)
     near = tudf < radius_m + VOXEL_M * math.sqrt(3) / 2
     inner = (slice(MARGIN, -MARGIN),) * 3
+    # beyond the flight bounds nothing may fly, though solids there count
     blocked = np.ones_like(near)
     blocked[inner] = near[inner]
     return _Room(bounds, grid, origin, blocked, solid, tudf)
 
 
 def _way(blocked: Mask, ends: Ints) -> Ints:
-    """The voxels (n, 3) of the shortest way between two (2, 3); (0, 3) where none is."""
+    """Return the voxels (n, 3) of the shortest way between two (2, 3); (0, 3) if there is none."""
     first, shape = np.zeros(3, int), np.array(blocked.shape)
     nodes: Ints = search(blocked, first, shape, 1, ends[0], ends[1], False, NO_RISK, 0.0)
     return nodes
 
 
 def graded(world: AnyWorld, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
-    """How hard missions are: the figures of the shortest way of each, on voxels of `VOXEL_M`, for a
-    vehicle of a radius in metres. Tortuosity is of the straightened way."""
-    found: list[Difficulty] = []
+    """Measure how difficult missions are, by the shortest way through voxels of `VOXEL_M`.
+
+    Args:
+        world: The world.
+        radius_m: Radius of the vehicle, metres.
+        missions: Missions through this world.
+
+    Returns:
+        The difficulty of each mission; its tortuosity is that of the straightened way.
+    """
+    difficulties: list[Difficulty] = []
     for number, mission in enumerate(missions):
+        # missions of one world share their room, which is slow to make
         if not number or mission.bounds != missions[number - 1].bounds:
             room = _room(world, np.array(mission.bounds), radius_m)
         ends = room.grid.index(np.array([mission.start, mission.goal]), room.origin)
         way = _way(room.blocked, ends)
         tortuosity = mission.shortest_m / math.dist(mission.start, mission.goal)
-        found.append(way_difficulty(way, tortuosity, room.solid, room.tudf, VOXEL_M))
-    return found
+        difficulties.append(way_difficulty(way, tortuosity, room.solid, room.tudf, VOXEL_M))
+    return difficulties
 
 
 def _draw(
@@ -140,8 +157,8 @@ def _draw(
     *,
     rng: np.random.Generator,
 ) -> Mission | None:
-    """A start and a goal at least `apart` metres from one another, both clear of obstacles, with a
-    way between them that the vehicle fits through; None where none is found."""
+    """Draw a start and a goal at least `apart` metres from one another, both clear of obstacles and
+    connected by a way that the vehicle fits through; None if no pair is found."""
     bounds, clearance, spare = room.bounds, world.clearance, vehicle.radius_m + rules.spare_m
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
     for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES[type(world)], 2, 3)):
@@ -156,7 +173,8 @@ def _draw(
         nodes = _way(room.blocked, voxels)
         if not len(nodes):
             continue
-        path = room.origin + (nodes + 0.5) * VOXEL_M
+        path = room.origin + (nodes + 0.5) * VOXEL_M  # centres of voxels
+        # straighten: from each point go to the farthest that can be reached in a line
         begin, shortest = 0, 0.0
         while begin < len(path) - 1:
             end = len(path) - 1

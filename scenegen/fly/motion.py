@@ -1,6 +1,6 @@
-"""How the quadrotor moves: velocities are followed with bounded acceleration and jerk, with the
-same bits on every processor; or a quadrotor with mass, rotors and drag, simulated by MuJoCo, tracks
-this motion."""
+"""Motion of the quadrotor: kinematic, following velocities with bounded acceleration and jerk, with
+the same bits on every processor; or simulated by MuJoCo with mass, rotors and drag, tracking the
+kinematic motion."""
 
 import math
 
@@ -17,116 +17,122 @@ from scenegen.fly import PERIOD_S, Vehicle
 from scenegen.worlds.flight import GRAVITY, leaning
 
 Command = NDArray[np.float32]
-"""Velocity in the world, m/s, and rate of yaw, rad/s: (4,), or (n, 4) of n periods."""
+"""Velocity in the world, m/s, and yaw rate, rad/s: (4,), or (n, 4) for n periods."""
 
 STEPS = 16
-"""Steps of constant jerk from one decision to the next."""
+"""Steps of constant jerk in a period."""
 STEP_S = PERIOD_S / STEPS
 EAGER = 5.0
-"""Acceleration for each metre a second that the velocity lacks, 1/s."""
+"""Gain of the acceleration by the error of the velocity, 1/s."""
 POSITION, VELOCITY, ACCELERATION, HEADING = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 11)
-"""Parts of a state (11,): metres, m/s, m/s² in the world; cosine and sine of the yaw."""
+"""Slices of a state (11,): metres, m/s and m/s² in the world; cosine and sine of the yaw."""
 
 
 def most_pull(vehicle: Vehicle) -> float:
-    """The most acceleration, metres a second squared, that neither bound forbids."""
+    """Return the maximum acceleration by both bounds, m/s²: its own, and that of the tilt."""
     sine = float(sin_cos(math.radians(vehicle.tilt_deg))[0])
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
 
 
 def advance(state: Floats, command: Command, vehicle: Vehicle) -> Floats:
-    """The states (STEPS, 11) after each step of one period.
+    """Return the states (STEPS, 11) after each step of one period.
 
-    A step's jerk is constant, so that it is integrated exactly. The velocity asked for is
-    approached from the one at which the vehicle would be once it no longer accelerated; that one
-    never leaves the ball of allowed speeds, and so neither does the speed, to a millimetre a
-    second.
+    Jerk is constant within a step, so that a step is integrated exactly. The controlled velocity is
+    the one that remains once the acceleration has been brought to zero. It never leaves the ball of
+    allowed speeds, and so neither does the speed, to a millimetre a second.
 
     Args:
-        state: Now, (11,).
-        command: Velocity in the world, m/s, and rate of yaw, rad/s, within the bounds, (4,).
-        vehicle: What is bounded.
+        state: State now, (11,).
+        command: Velocity in the world, m/s, and yaw rate, rad/s, within the bounds, (4,).
+        vehicle: Bounds of the motion.
     """
-    wanted = command.astype(np.float64)
-    sine, cosine = sin_cos(wanted[3] * STEP_S)
+    target = command.astype(np.float64)
+    sine, cosine = sin_cos(target[3] * STEP_S)
     bounds = (vehicle.speed_mps, most_pull(vehicle), vehicle.jerk_mps3)
     states = np.empty((STEPS, len(state)))
-    _advance(state, wanted, float(cosine), float(sine), bounds, states)
+    _advance(state, target, float(cosine), float(sine), bounds, states)
     return states
 
 
 def pose_of(state: Floats, vehicle: Vehicle) -> Pose:
-    """The body's pose, leaning as its acceleration takes."""
+    """Return the body's pose in the world, tilted by its acceleration.
+
+    Args:
+        state: The state, (11,).
+        vehicle: Bounds of the tilt.
+    """
     level = Pose.facing(state[POSITION], state[HEADING])
     x, y, z = state[ACCELERATION].tolist()
     return leaning(level, (x, y, z), most_deg=vehicle.tilt_deg)
 
 
 @kernel
-def _shortened(x, y, z, most):
-    """A vector, no longer than `most`."""
+def _shortened(x, y, z, max_length):
+    """Return the vector, scaled down to `max_length` if it is longer."""
     length = math.sqrt(x * x + y * y + z * z)
-    share = most / length if length > most else 1.0
+    share = max_length / length if length > max_length else 1.0
     return np.array([share * x, share * y, share * z])
 
 
 @kernel
 def _settled(velocity, pull, jerk):
-    """The velocity that is left when the acceleration `pull` has been brought to nought."""
+    """Return the velocity once the acceleration `pull` has been brought to zero at this jerk."""
     share = math.sqrt((pull * pull).sum()) / (2.0 * jerk)
     return velocity + share * pull
 
 
+# the same operations in the same order on every processor, so that flights have the same bits
 @kernel
-def _advance(state, wanted, cosine, sine, bounds, states):
-    speed, most, jerk = bounds
+def _advance(state, target, cosine, sine, bounds, states):
+    speed, max_pull, jerk = bounds
     now = state.copy()
     position, velocity, pull = now[0:3], now[3:6], now[6:9]
     x, y = state[9], state[10]
     h = STEP_S
     for n in range(len(states)):
-        lack = EAGER * (wanted[:3] - _settled(velocity, pull, jerk))
-        change = _shortened(lack[0], lack[1], lack[2], most) - pull
+        lack = EAGER * (target[:3] - _settled(velocity, pull, jerk))
+        change = _shortened(lack[0], lack[1], lack[2], max_pull) - pull
         change = _shortened(change[0], change[1], change[2], jerk * h)
         after = _settled(velocity + h * (pull + 0.5 * change), pull + change, jerk)
-        if (after * after).sum() > speed * speed:
+        if (after * after).sum() > speed * speed:  # the speed would exceed its bound later on
             change = _shortened(-pull[0], -pull[1], -pull[2], jerk * h)
         position += h * velocity + h * h * (0.5 * pull + change / 6.0)
         velocity += h * (pull + 0.5 * change)
         pull += change
         x, y = cosine * x - sine * y, sine * x + cosine * y
         length = math.sqrt(x * x + y * y)
-        x, y = x / length, y / length
+        x, y = x / length, y / length  # rounding errors would add up over a flight
         now[9], now[10] = x, y
         for k in range(len(now)):  # assigning to slices takes numba seconds to compile
             states[n, k] = now[k]
 
 
 ARM_M, TORQUE_M = 0.12, 0.02
-"""A rotor's distance from the axes, and its torque by its thrust, metres."""
+"""Distance of a rotor from the body's axes, and torque of a rotor per thrust, metres."""
 MASS_KG, INERTIA = 1.0, (0.008, 0.008, 0.014)
 """Mass, kg, and moments of inertia, kg m², of a vehicle half a metre wide."""
-MOST_THRUST = 2.0
-"""All rotors' thrust at most, by the weight."""
+MAX_THRUST = 2.0
+"""Maximum thrust of all rotors, as a multiple of the weight."""
 LAG_S = 0.03
 """Time constant of a rotor, seconds."""
 SUBSTEPS = 2
-"""Steps of MuJoCo in one of the motion's."""
+"""Steps of MuJoCo in a step of the kinematic motion."""
 STIFF, DAMPED = 6.0, 4.5
-"""What is answered to a lack of position and of velocity, 1/s² and 1/s."""
+"""Gains of the acceleration by the errors of position and velocity, 1/s² and 1/s."""
 TURN_STIFF, TURN_DAMPED = 200.0, 22.0
-"""What is answered to a lack of attitude and of rate of turn, 1/s² and 1/s."""
+"""Gains of the torque by the errors of attitude and angular rate, 1/s² and 1/s."""
 SIGNS = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, 1], [-1, 1, -1]])
-"""(4, 3): of each rotor, its side along x and y, and the sense of its torque."""
+"""(4, 3): for each rotor its side along x and y, and the sign of its torque."""
 
 
 def _model() -> mujoco.MjModel:
+    """Compile the quadrotor: a free body in air, with rotors as actuators that lag."""
     sites = "".join(
         f'<site name="r{n}" pos="{ARM_M * x} {ARM_M * y} 0"/>' for n, (x, y, _) in enumerate(SIGNS)
     )
-    most = MOST_THRUST * MASS_KG * GRAVITY / len(SIGNS)
+    max_force = MAX_THRUST * MASS_KG * GRAVITY / len(SIGNS)
     rotors = "".join(
-        f'<general site="r{n}" gear="0 0 1 0 0 {TORQUE_M * turn}" ctrlrange="0 {most}" '
+        f'<general site="r{n}" gear="0 0 1 0 0 {TORQUE_M * turn}" ctrlrange="0 {max_force}" '
         f'ctrllimited="true" dyntype="filterexact" dynprm="{LAG_S}"/>'
         for n, (_, _, turn) in enumerate(SIGNS)
     )
@@ -139,21 +145,26 @@ def _model() -> mujoco.MjModel:
 
 
 class Quadrotor:
-    """Flies behind a vehicle of the kinematic motion, by a geometric controller (Lee et al. 2010):
-    thrust for the acceleration that is wanted, torque for the attitude that this takes."""
+    """Tracks the kinematic motion by a geometric controller (Lee et al. 2010): thrust from the
+    desired acceleration, torque from the attitude that this needs."""
 
-    most_pull = (MOST_THRUST + 1) * GRAVITY
-    """The most acceleration of thrust and weight, metres a second squared."""
+    most_pull = (MAX_THRUST + 1) * GRAVITY
+    """Maximum acceleration by thrust and weight, metres a second squared."""
 
     def __init__(self, state: Floats, vehicle: Vehicle):
-        """At rest at a `state` (11,), and level."""
+        """Begin at rest and level.
+
+        Args:
+            state: State of the kinematic motion, (11,); position and yaw count.
+            vehicle: Bounds of the kinematic motion.
+        """
         self._leads, self._vehicle = state, vehicle
         self._model = _model()
         self._data = mujoco.MjData(self._model)
         level = Pose.facing(state[POSITION], state[HEADING])
         self._data.qpos[:] = *level.position, *level.quaternion
         self._data.act[:] = MASS_KG * GRAVITY / len(SIGNS)
-        # thrusts of the rotors, of the total and of the three torques
+        # from total thrust and three torques to the thrust of each rotor
         forces = np.column_stack([np.ones(4), SIGNS[:, 1], -SIGNS[:, 0], SIGNS[:, 2]])
         self._mix = np.linalg.inv(forces.T * [[1], [ARM_M], [ARM_M], [TORQUE_M]])
 
@@ -163,12 +174,12 @@ class Quadrotor:
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
     def advance(self, command: Command) -> Floats:
-        """The states (STEPS, 11) after each step of one period; see `advance`, whose states
-        it tracks. The acceleration is that of thrust and weight."""
+        """Return the states (STEPS, 11) after each step of one period, see `advance`. Their
+        acceleration is that of thrust and weight, without drag."""
         leads = advance(self._leads, command, self._vehicle)
         states = np.empty((STEPS, 11))
         for lead, state in zip(leads, states, strict=True):
-            self._data.ctrl[:] = self._mix @ self._wanted(lead)
+            self._data.ctrl[:] = self._mix @ self._controls(lead)
             mujoco.mj_step(self._model, self._data, SUBSTEPS)
             x, _, up = self._axes()
             state[POSITION], state[VELOCITY] = self._data.qpos[:3], self._data.qvel[:3]
@@ -178,16 +189,17 @@ class Quadrotor:
         return states
 
     def _axes(self) -> Floats:
-        """The body's axes in the world, (3, 3), a row each."""
+        """Return the body's axes in the world, (3, 3), one a row."""
         return rotate(self._data.qpos[3:].copy(), np.eye(3))
 
-    def _wanted(self, lead: Floats) -> Floats:
-        """Thrust (N) and torques (N m) that lead to a state (11,)."""
+    def _controls(self, lead: Floats) -> Floats:
+        """Return thrust (N) and torques (N m), (4,), that lead to a state (11,)."""
         pull = lead[ACCELERATION] + STIFF * (lead[POSITION] - self._data.qpos[:3])
         pull += DAMPED * (lead[VELOCITY] - self._data.qvel[:3]) + [0, 0, GRAVITY]
         axes, up = self._axes(), pull / np.linalg.norm(pull)
         left = np.cross(up, [*lead[HEADING], 0.0])
         left /= np.linalg.norm(left)
+        # the error of the attitude is the skew part of the turn from it to the desired one
         turned = axes @ np.column_stack([np.cross(left, up), left, up])
         lack = 0.5 * (turned - turned.T)
         error = np.array([lack[2, 1], lack[0, 2], lack[1, 0]])

@@ -1,11 +1,11 @@
-"""A robot's process: what it is told and answers; and that of a robot that is a Python class,
-``python -m scenegen.fly.serve module:Class``.
+"""The messages between a flight and a robot's process, and the process of a robot that is a Python
+class: ``python -m scenegen.fly.serve module:Class``.
 
 Each message is a line of JSON, ``{"is": "reset" | "act", "arrays": [["ranges", "<f4", [16, 120]],
 ...]}``, and then the bytes of these arrays, one after the other, little-endian and in C order. To
 "reset", the process answers with an empty line once it is ready; to "act", with a line of JSON: an
-action, see `scenegen.fly.loop.Robot.act`, or null for none. To either, ``{"error": "…"}`` says what
-went wrong, and ends the process.
+action, see `scenegen.fly.loop.Robot.act`, or null for none. To either, ``{"error": "…"}`` reports a
+failure, after which the process is ended.
 """
 
 import json
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.registry import Registry
-from scenegen.errors import MOST_REPEATED, told
+from scenegen.base.errors import MOST_REPEATED, told
 
 ROBOTS = Registry(
     "robot",
@@ -30,38 +30,45 @@ ROBOTS = Registry(
 )
 
 
-def encoded(what: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """A message to a robot's process."""
-    told = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
-    line = json.dumps({"is": what, "arrays": told}).encode()
+def encoded(kind: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Encode a message to a robot's process.
+
+    Args:
+        kind: "reset" or "act".
+        arrays: Arrays by name, little-endian.
+    """
+    headers = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    line = json.dumps({"is": kind, "arrays": headers}).encode()
     return b"\n".join([line, b"".join(array.tobytes() for array in arrays.values())])
 
 
 def decoded(pipe: IO[bytes]) -> tuple[str, dict[str, NDArray[Any]]] | None:
-    """The next message; None where there is none any more."""
+    """Read the next message: its kind and its arrays; None at the end of the pipe."""
     line = pipe.readline()
     if not line:
         return None
-    said, arrays = json.loads(line), dict[str, Any]()
-    for name, kind, shape in said["arrays"]:
+    header, arrays = json.loads(line), dict[str, Any]()
+    for name, kind, shape in header["arrays"]:
         count = int(np.prod(shape, dtype=np.int64))
         content = pipe.read(count * np.dtype(kind).itemsize)
         arrays[name] = np.frombuffer(content, kind).reshape(shape).copy()
-    return str(said["is"]), arrays
+    return str(header["is"]), arrays
 
 
 def main() -> None:
-    """Serve until there are no more messages. What the robot prints goes to standard error."""
+    """Serve until the pipe ends. What the robot prints goes to standard error."""
+    # standard output carries the answers, so a robot's print() must not reach it
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     robot: Any = None
     while (message := decoded(sys.stdin.buffer)) is not None:
-        what, arrays = message
+        kind, arrays = message
         try:
+            # made at the first message, so that an import error is an answer, too
             if robot is None:
                 robot = ROBOTS.find(sys.argv[1])()
             answer = ""
-            if what == "reset":
+            if kind == "reset":
                 robot.reset(arrays)
             else:
                 answer = _answer(robot.act(arrays))
@@ -74,14 +81,14 @@ def main() -> None:
 
 
 def _answer(action: Any) -> str:
-    """An action as a line; null if it is not an array of numbers."""
+    """Encode an action as JSON; null if it is not an array of numbers."""
     numbers = numbers_of(action)
     return json.dumps(None if numbers is None else numbers.tolist())
 
 
 def numbers_of(action: Any) -> Floats | None:
-    """A robot's action as an array. None if it holds anything but real numbers, such as "1" or
-    true, which NumPy would convert, or numbers beyond float64."""
+    """Return a robot's action as an array. None if it holds anything but real numbers, such as "1"
+    or true, which NumPy would convert, or numbers beyond float64."""
     try:
         parts = np.asarray(action, object)
         values = [part.item() if hasattr(part, "item") else part for part in parts.flat]

@@ -1,4 +1,4 @@
-"""One mission under way: what the vehicle sees, where it moves, and what it meets."""
+"""The simulation of one mission: observations, motion and collisions of the vehicle."""
 
 import hashlib
 import math
@@ -13,7 +13,7 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
-from scenegen.draw import in_motion, scan_world
+from scenegen.draw.draw import in_motion, scan_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
@@ -31,27 +31,28 @@ from scenegen.fly.serve import numbers_of
 from scenegen.worlds.world import AnyWorld
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
-"""How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
-its robot raised or died, did not answer, or said too much."""
+"""How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or its robot
+raised or died, did not answer, or wrote too much."""
 Observation = dict[str, NDArray[Any]]
+"""Arrays by name, see `Simulation.observe`."""
 LARGEST = 1e6
 """Speeds beyond this are scaled down before their squares are summed, which could overflow."""
 PRIZE = 10.0
-"""What reaching the goal is worth, and what any other end but that of time costs."""
+"""Reward at the goal; its negative is that of any other end except a timeout."""
 
 
 @dataclass(eq=False)
 class Simulation:
-    """A vehicle on its mission. It does not depend on who decides, and for the same commands
-    every bit of it is the same on every machine.
+    """A vehicle on its mission. The same commands give the same bits on every machine, except with
+    the dynamics of MuJoCo.
 
     Attributes:
-        state: Now, (11,), see `scenegen.fly.motion`.
-        time_s: Seconds flown.
-        outcome: How the flight ended; None while it goes on.
-        states: All states so far, (STEPS, 11) for each period, cut where the flight ended.
-        clearances_m: The centre's distance from the nearest solid at each of them, at most
-            `scenegen.worlds.clearance.CAP_M`.
+        state: State now, (11,), see `scenegen.fly.motion`.
+        time_s: Time flown, seconds.
+        outcome: How the flight ended; None until then.
+        states: All states so far, (STEPS, 11) for each period, cut at the flight's end.
+        clearances_m: Distance of the centre from the nearest solid at each state, capped at
+            `scenegen.worlds.clearance.CAP_M`, metres.
     """
 
     world: AnyWorld
@@ -62,14 +63,15 @@ class Simulation:
     rules: Rules
     noise: Noise = field(default_factory=Noise)
     moving: bool = False
-    """See `scenegen.logs.record.record` for this one and `noise`."""
+    """Whether each ray is cast from where the sensor is at the ray's time."""
     seed: int = 0
-    """What the noise is drawn by."""
+    """Seed of the noise."""
 
     def __post_init__(self) -> None:
         mission, self._clearance = self.mission, self.world.clearance
         east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
         length = math.sqrt(east * east + north * north)
+        # the vehicle starts facing its goal
         facing = (east / length, north / length) if length else (1.0, 0.0)
         self.state = np.array([*mission.start, *([0.0] * 6), *facing])
         self.time_s, self.periods = 0.0, 0
@@ -84,18 +86,30 @@ class Simulation:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that was seen and flown. Raises ValueError for a copy."""
+        """SHA-256 of all ranges and states so far.
+
+        Raises:
+            ValueError: This simulation was copied or pickled.
+        """
         if self._digest is None:
             raise ValueError("a simulation that was copied or pickled has no digest")
         return str(self._digest.hexdigest())
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copies and pickles: all but the digest, whose state hashlib does not give."""
+        """Return the state for copies and pickles, without the digest, which hashlib cannot copy
+        to another process."""
         return vars(self) | {"_digest": None}
 
     def about(self) -> Observation:
-        """What a robot is told before it flies: the mission, the vehicle and the sensor."""
-        told = vars(self.vehicle) | {
+        """Return facts for the robot before it flies, all as float arrays.
+
+        Returns:
+            The fields of the vehicle; `goal` (3,) and `bounds` (2, 3), metres in the world;
+            `reach_m`, the distance at which the goal is reached; `most_s`, the time limit;
+            `period_s`; and of the sensor `max_range_m`, `directions_body` (*shape, 3), `times_s`
+            and `lever_arm_m` (3,).
+        """
+        facts = vars(self.vehicle) | {
             "goal": self.mission.goal,
             "bounds": self.mission.bounds,
             "reach_m": self.rules.reach_m,
@@ -106,11 +120,13 @@ class Simulation:
             "times_s": self.sensor.times_s,
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
-        # how it is simulated is no number, and nothing that a robot would be told
-        return {name: np.asarray(it, float) for name, it in told.items() if name != "dynamics"}
+        # `dynamics` is not a number, and a real robot would not know it
+        return {
+            name: np.asarray(value, float) for name, value in facts.items() if name != "dynamics"
+        }
 
     def observe(self) -> Observation:
-        """What the robot sees now.
+        """Scan the world and return what the robot observes.
 
         Returns:
             `ranges` (*sensor.shape), metres, inf where nothing returned; `points`
@@ -119,11 +135,11 @@ class Simulation:
             world, metres and m/s; `goal` (3,), world metres; `time_s` (1,).
 
         Raises:
-            GenerationError: The noise does not suit the world.
+            GenerationError: The noise does not fit the world.
         """
         pose = self._body.pose if self._body else pose_of(self.state, self.vehicle)
         chain = self.noise
-        if self.moving:
+        if self.moving:  # the motion at the scan's begin, taken as even during it
             forward, left, up = rotate(pose.back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
             pace: Any = Motion(
@@ -147,15 +163,18 @@ class Simulation:
         }
 
     def step(self, command: Command) -> float:
-        """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
+        """Fly one period, or until the flight ends.
 
-        The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
-        flew is longer than what was free before, the whole motion is checked. A step's way strays
-        from its chord by its acceleration times the square of its time over eight at most.
+        Collisions between steps are found to a millimetre: if a step is longer than the clearance
+        before it, its chord is checked. A step strays from its chord by at most a t² / 8, which is
+        added to the radius.
+
+        Args:
+            command: A command (4,) from `bounded`.
 
         Returns:
-            The reward: by how many metres the goal is nearer, and `PRIZE` at the goal, its negative
-            at a collision or beyond the bounds.
+            The reward: the decrease of the distance to the goal, metres, plus `PRIZE` at the goal
+            and minus `PRIZE` at a collision or beyond the bounds.
         """
         before_m, vehicle = self._left_m(), self.vehicle
         low, high = np.array(self.mission.bounds)
@@ -165,23 +184,30 @@ class Simulation:
             states, pull = advance(self.state, command, vehicle), most_pull(vehicle)
         stray = pull * STEP_S * STEP_S / 8
         radius, self._turning = vehicle.radius_m + stray, float(command[3])
-        here, free, flown = tuple(self.state[POSITION].tolist()), self.clearances_m[-1], len(states)
+        position, free, flown = (
+            tuple(self.state[POSITION].tolist()),
+            self.clearances_m[-1],
+            len(states),
+        )
         for number, at in enumerate(states[:, POSITION], start=1):
-            there = tuple(at.tolist())
-            if math.dist(here, there) >= free - radius and not self._clearance.motion_is_free(
-                here, there, radius
+            next_position = tuple(at.tolist())
+            if math.dist(
+                position, next_position
+            ) >= free - radius and not self._clearance.motion_is_free(
+                position, next_position, radius
             ):
                 self.outcome = "collision"
             elif ((at < low) | (at > high)).any():
                 self.outcome = "left"
-            elif math.dist(there, self.mission.goal) <= self.rules.reach_m:
+            elif math.dist(next_position, self.mission.goal) <= self.rules.reach_m:
                 self.outcome = "success"
-            here, free = there, self._clearance.at(*there)
+            position, free = next_position, self._clearance.at(*next_position)
             self.clearances_m.append(free)
             if self.outcome is not None:
                 flown = number
                 break
         self.states.append(states[:flown])
+        # what was seen counts, too: noise or a sensor may differ while the robot flies the same
         if self._digest is not None:
             self._digest.update(self._seen + states[:flown].tobytes())
         self.state = states[flown - 1]
@@ -196,10 +222,10 @@ class Simulation:
         return math.dist(self.state[POSITION], self.mission.goal)
 
     def measured(self) -> dict[str, float]:
-        """What was flown: `flown_m`, `speed_mps` on average, `min_clearance_m`,
-        `mean_clearance_m` by time, and `jerk_mps3`, the root of its mean square."""
+        """Return figures of the flight so far, see `Flown`: `flown_m`, `speed_mps`,
+        `min_clearance_m`, `mean_clearance_m` and `jerk_mps3`."""
         states = np.concatenate(self.states)
-        steps = np.diff(states[:, POSITION], axis=0)
+        steps = np.diff(states[:, POSITION], axis=0)  # chords: steps are 6 ms long
         flown = float(np.sqrt((steps * steps).sum(axis=1)).sum())
         jerk = np.diff(states[:, ACCELERATION], axis=0) / STEP_S
         return {
@@ -212,30 +238,33 @@ class Simulation:
 
 
 def bounded(action: Any, vehicle: Vehicle) -> tuple[Command | None, bool]:
-    """What a robot said, as commands.
+    """Turn a robot's action into commands within the vehicle's bounds.
 
     Args:
-        action: Velocity in the world, m/s, and rate of yaw, rad/s, (4,); or of up to ten periods
-            to come, (n, 4).
-        vehicle: What bounds them.
+        action: Velocity in the world, m/s, and yaw rate, rad/s, (4,); or those of up to ten
+            periods, (n, 4).
+        vehicle: Bounds of the commands.
 
     Returns:
-        Commands (n, 4) within the bounds, None if `action` is not an array of finite numbers of
-        this shape; and whether a bound was exceeded, by more than rounding.
+        Commands (n, 4), or None if `action` is not an array of finite numbers of this shape; and
+        whether a bound was exceeded by more than rounding.
     """
     numbers = numbers_of(action)
     if numbers is None or not np.isfinite(numbers).all():
         return None, False
-    rows = np.atleast_2d(numbers)
+    rows = np.atleast_2d(numbers)  # a single command is a plan of one period
     if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:
         return None, False
     rows[:, :3] *= LARGEST / np.maximum(np.abs(rows[:, :3]).max(axis=1, keepdims=True), LARGEST)
     # rounding to float32 must not lead out of the bounds again
-    most, turn = vehicle.speed_mps * (1 - 1e-6), math.radians(vehicle.yaw_rate_deg_s) * (1 - 1e-6)
+    max_speed, turn = (
+        vehicle.speed_mps * (1 - 1e-6),
+        math.radians(vehicle.yaw_rate_deg_s) * (1 - 1e-6),
+    )
     speed = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
     exceeds = bool(
         (speed > vehicle.speed_mps + 1e-3).any() or (abs(rows[:, 3]) > turn + 1e-3).any()
     )
-    rows[:, :3] *= np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
+    rows[:, :3] *= np.minimum(1.0, max_speed / np.maximum(speed, 1e-9))[:, None]
     rows[:, 3] = np.clip(rows[:, 3], -turn, turn)
     return rows.astype(np.float32), exceeds

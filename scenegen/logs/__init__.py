@@ -1,7 +1,7 @@
 """Logs: the scans of one drive or flight, with the pose of the sensor at each.
 
-`record` flies through a world and scans it, and `write` puts the log on disk. `read` reads logs,
-also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of them.
+`record` flies through a world, scans it, and puts the log on disk. `read` reads logs, also of real
+sensors, and `fuse` makes maps of them.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lidarsim.parameters import MIN_RETURN_M, Checked, check, number
-from scenegen.limits import MOST_PLACE_VOXELS
+from scenegen.base.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from numpy.typing import NDArray
@@ -25,12 +25,12 @@ class LogScan:
     time_s: float
     """When it began, seconds."""
     pose: "Pose"
-    """The sensor's in the world at that moment."""
+    """The sensor's pose in the world at that moment."""
     points: "Floats"
     """(N, 3): returns in the sensor's frame, metres; not finite where nothing returned."""
     more: "Mapping[str, NDArray]" = field(default_factory=dict)
-    """What else is known of each return, (N,): `intensity`; `ring`, the number of its beam; and
-    `t`, when its ray was cast, seconds after `time_s`."""
+    """Further values of each return, (N,): `intensity`; `ring`, the number of its beam; and `t`,
+    when its ray was cast, seconds after `time_s`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +42,10 @@ class Cruise(Checked):
     speed_mps: float = number(2.0, least=0.1, most=50)
     """Speed, metres a second; it is less round corners."""
     acceleration_mps2: float = number(4.0, least=0.1, most=100)
-    """The most that it speeds up or slows down, and the most that a bend pulls, metres a second
-    squared; together twice that at most."""
+    """Maximum acceleration along the path and, separately, across it in bends, metres a second
+    squared."""
     yaw_rate_deg_s: float = number(60.0, above=0, most=360)
-    """The most that the body turns, degrees a second. It looks along the flight as far as this lets
-    it."""
+    """Maximum yaw rate, degrees a second. The body faces along the flight within this limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,27 +55,29 @@ class Fusing:
     voxel_m: float = number(0.2, least=0.01, most=10)
     """Edge of a map's voxel, metres."""
     reach_m: float = number(30.0, above=0, most=1000)
-    """How far rays are followed, metres: a return beyond clears the voxels up to here and marks
-    none."""
+    """Maximum length of a ray, metres: a return farther away frees the voxels up to this distance
+    and marks none as occupied."""
     rise_m: float = number(10.0, above=0, most=1000)
-    """How far the map goes above and below the sensor, metres."""
+    """Height of the map above the sensor, and its depth below it, metres."""
     least_m: float = number(MIN_RETURN_M, least=0, most=100)
-    """Returns nearer than this are the sensor's carrier, and left out, metres."""
+    """Returns nearer than this are of the vehicle that carries the sensor, and are left out,
+    metres."""
     moved_share: float = number(0.1, least=0, below=1)
-    """The least share of the scans that say something of a voxel which must have a return in it:
-    where fewer have, what returned has moved on, and the voxel is free."""
+    """A voxel is occupied if at least this share of the scans that observed it have a return in
+    it. If fewer have, a moving object was there, and the voxel is free."""
     every: int = number(10, least=1, most=10**6)
-    """Every so many scans, one is kept as an observation."""
+    """One scan in so many is written as an observation."""
     deskew: bool = False
-    """Whether points are moved to where their rays met something: by the time of each, along the
-    way to the next scan's pose. For raw scans of a sensor in motion."""
+    """Whether points are corrected for the sensor's motion during a scan: each by its time, along
+    the way to the next scan's pose. For raw scans of a moving sensor."""
 
     def __post_init__(self) -> None:
         check(self)
+        # the window of one scan: twice the reach, and some voxels around it
         wide, high = 2 * self.reach_m / self.voxel_m + 8, 2 * self.rise_m / self.voxel_m + 8
         if wide * wide * high > MOST_PLACE_VOXELS:
             raise ValueError(
                 f"reach {self.reach_m:g} m, rise {self.rise_m:g} m, voxels of {self.voxel_m:g} m: "
-                f"one scan would take more than {MOST_PLACE_VOXELS} voxels; expected larger ones, "
-                "or a map that reaches less far"
+                f"one scan would take more than {MOST_PLACE_VOXELS} voxels; expected larger "
+                "voxels, or a shorter reach or rise"
             )

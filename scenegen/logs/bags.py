@@ -1,112 +1,116 @@
-"""Recordings of ROS, 1 and 2: point clouds, and where their frames were, read without ROS."""
+"""ROS messages in files: reads point clouds and poses from recordings of ROS 1 and ROS 2, without
+ROS, and writes MCAP files (mcap.dev) with ROS 2 messages."""
 
 import struct
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
-from scenegen.clouds import check_scan
-from scenegen.errors import DatasetError, printable
-from scenegen.logs.frames import Links, seconds
-from scenegen.logs.messages import CLOUD, POINT_TYPES, TRANSFORMS
-from scenegen.logs.times import PointClock, RawTimes, time_fields
+from scenegen.base.errors import DatasetError, printable
+from scenegen.logs.frames import Links
+from scenegen.worlds.clouds import Cloud, cloud_of
+from scenegen.worlds.clouds.columns import Table, used_fields
 
-RECORDINGS = (".mcap", ".bag", ".db3")
-"""Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
+CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+FOLDER = Path(__file__).with_name("definitions")
+DEFINITIONS = {
+    name: (FOLDER / f"{Path(name).name}.msg").read_text(encoding="utf-8")
+    for name in (CLOUD, TRANSFORMS)
+}
+"""Texts of the definitions of ROS messages, by the name of the type."""
+POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""NumPy's names of PointField's data types, by their number in ROS."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 FRAMES = (TRANSFORMS, "tf/msg/tfMessage")
-"""What is on /tf; the second is of old recordings of ROS 1."""
+"""Types of messages on /tf; old recordings of ROS 1 have the second."""
 LIVOX = tuple(
     f"livox_{package}/msg/CustomMsg" for package in ("ros_driver2", "interfaces", "ros_driver")
 )
-"""Livox's own message, as its drivers for ROS 2 and ROS 1 call it."""
+"""Livox's CustomMsg, as its drivers for ROS 2 and ROS 1 name it."""
 LIVOX_TIME = "offset_time"
-"""Its points' first field."""
+"""The first field of a point in a CustomMsg."""
 LIVOX_BYTES = 19
-"""Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
+"""Bytes of a point in a CustomMsg: time (uint32, ns), x, y, z (float32, m), and three more."""
+
+
+Row = tuple[int, int, Mapping[str, tuple[str, Any]]]
+"""Number, time in nanoseconds, and messages by topic, each as (type, message)."""
+
+
+Reader: TypeAlias = tuple[str, Callable[[], Cloud]]
+"""The name of a cloud, for errors, and a function that reads it."""
 
 
 @dataclass(frozen=True, eq=False)
-class RawCloud:
-    """One cloud."""
-
-    points: Floats
-    """(n, 3), metres."""
-    fields: tuple[str, ...]
-    """The names of all fields of its points."""
-    times: RawTimes
-
-
-Points: TypeAlias = tuple[Floats, dict[str, Floats]]
-"""The points (n, 3) of a cloud, and what else is known of each, by name, (n,)."""
-Reader: TypeAlias = Callable[[], Points]
-"""Reads a cloud."""
-
-
-@dataclass(frozen=True, eq=False)
-class Surveyed:
-    """What a recording holds."""
+class Contents:
+    """The topic of clouds of a recording, without their points but for a few samples."""
 
     topic: str
-    """That of the clouds."""
+    """Topic of the clouds."""
     frame: str
-    """That of the clouds."""
+    """Frame of the clouds."""
     stamps_s: Floats
     """(n,): the times of the clouds, seconds."""
     links: Links
-    fields: tuple[str, ...]
-    """The names of the fields of its points."""
-    times: list[RawTimes]
-    """Of some clouds, spread over the recording."""
+    """Poses of frames in one another, over time."""
+    samples: dict[int, Cloud]
+    """Some of the clouds, spread over the recording, by number."""
 
 
 class Recording:
-    """A recording's messages of the kinds that a log is made of. Their types are those that we
-    know, not those that the file defines."""
+    """Reader of a recording's clouds, transforms and odometry. Messages are decoded by ROS's own
+    definitions, not by those in the file, which may be wrong or hostile."""
 
     def __init__(self, path: Path):
-        """The recording in a file, or in a bag's folder. Raises ModuleNotFoundError without the
-        extra."""
+        """Prepare to read a recording; `contents` opens it.
+
+        Args:
+            path: A file, or the folder of a bag of ROS 2.
+
+        Raises:
+            ModuleNotFoundError: The extra `rosbags` is not installed.
+        """
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._path, self._first = path, path.suffix == ".bag"
         store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
+        # the type store lacks messages of /tf of ROS 1, under either name
         for name in FRAMES if self._first else ():
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
         self._reader: Any = Reader1 if self._first else Reader2
         self._decode = store.deserialize_ros1 if self._first else store.deserialize_cdr
 
-    def survey(self, topic: str | None, fixed_frame: str | None = None) -> Surveyed:
-        """Read everything but points.
+    def contents(self, topic: str | None, fixed_frame: str | None = None) -> Contents:
+        """Read all but points, in one pass.
 
         Args:
-            topic: That of the clouds, which must be named if there are several.
+            topic: Topic of the clouds. None: the only one.
             fixed_frame: The frame that poses are in, see `Links`.
 
         Raises:
-            DatasetError: There are no clouds, or those of several topics or frames.
+            DatasetError: There are no clouds, clouds on several topics and no `topic`, or clouds
+                of several frames.
         """
         heads, links = defaultdict[str, list[tuple[float, str]]](list), Links(fixed_frame)
-        samples = defaultdict[str, list[tuple[str, bytes]]](list)
-        for kind, on, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
-            if kind in (CLOUD, *LIVOX):
-                if len(heads[on]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
-                    samples[on].append((kind, data))
-                with _readable(self._path):
-                    heads[on].append(self._head(data)[:2])
-            else:
-                with _readable(self._path):
-                    links.add(on, self._decode(data, kind))
+        samples = defaultdict[str, dict[int, tuple[str, bytes]]](dict)
+        for kind, name, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
+            with _readable(self._path):
+                if kind not in (CLOUD, *LIVOX):
+                    links.add(name, self._decode(data, kind))
+                    continue
+                if len(heads[name]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
+                    samples[name][len(heads[name])] = kind, data
+                heads[name].append(self._head(data)[:2])
         if topic is None and len(heads) > 1:
             raise DatasetError(
                 f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
@@ -117,115 +121,167 @@ class Recording:
             raise DatasetError(
                 f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
             )
+        # two sensors on one topic cannot be told apart in a map
         frames = sorted({frame for _, frame in heads[topic]})
         if len(frames) > 1:
             raise DatasetError(
                 f"{self._path}: the clouds on {topic} are of several frames, {', '.join(frames)}; "
                 "expected those of one sensor"
             )
-        clouds = [self._read(*sample) for sample in samples[topic]]
-        stamps, times = np.array([time for time, _ in heads[topic]]), [c.times for c in clouds]
-        return Surveyed(topic, frames[0], stamps, links, clouds[0].fields, times)
+        stamps = np.array([time for time, _ in heads[topic]])
+        clouds = {n: self._read(*sample) for n, sample in samples[topic].items()}
+        return Contents(topic, frames[0], stamps, links, clouds)
 
-    def clouds(self, topic: str, clock: PointClock | None) -> Iterator[Reader]:
-        """What reads each cloud of a topic: its points and, if a `clock` reads times, `t`, (n,)."""
-        for kind, on, data in self._messages(CLOUD, *LIVOX):
-            if on == topic:
-                yield partial(self._read_points, kind, data, clock)
+    def clouds(self, topic: str) -> Iterator[Reader]:
+        """Yield the name of each cloud of a topic, and a function that reads it."""
+        for kind, sender, data in self._messages(CLOUD, *LIVOX):
+            if sender == topic:
+                name = f"{self._path}: cloud at {self._head(data)[0]:.14g} s"
+                yield name, partial(self._read, kind, data)
 
-    def _read_points(self, kind: str, data: bytes, clock: PointClock | None) -> Points:
-        cloud = self._read(kind, data)
-        where = f"{self._path}: cloud at {cloud.times.stamp_s:.14g} s"
-        check_scan(cloud.points, np.zeros(3), where)
-        times_s = clock.seconds(cloud.times) if clock else None
-        return cloud.points, {} if times_s is None else {"t": times_s}
-
-    def _read(self, kind: str, data: bytes) -> RawCloud:
+    def _read(self, kind: str, data: bytes) -> Cloud:
         with _readable(self._path):
             if kind == CLOUD:
                 return _of_cloud(self._decode(data, CLOUD))
-            stamp_s, _, order, start = self._head(data)
-            return _of_livox(data, order, start, stamp_s, packed=self._first)
+            return _of_livox(data, *self._head(data)[2:], packed=self._first)
 
     def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
-        """The kind, topic and content of every message of some kinds, in the order of recording."""
+        """Yield type, topic and bytes of every message of these types, in the order of
+        recording."""
         with _readable(self._path), self._reader(self._path) as reader:
-            chosen = [one for one in reader.connections if one.msgtype in kinds]
+            chosen = [entry for entry in reader.connections if entry.msgtype in kinds]
             for connection, _, data in reader.messages(chosen) if chosen else ():
                 yield connection.msgtype, connection.topic, data
 
     def _head(self, data: bytes) -> tuple[float, str, str, int]:
-        """Of a message that begins with a header: its time, seconds, its frame, its byte order, and
-        where the header ends."""
-        order = "<" if self._first or data[1] & 1 else ">"  # four bytes say so: of ROS 1, a count
-        seconds, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
+        """Read the header of a message: its time in seconds, its frame, the byte order, and the
+        offset of the first byte after the header."""
+        # ROS 2 begins with four bytes of CDR, of which the second has the byte order; ROS 1 begins
+        # with a sequence number of four bytes, and is always little-endian
+        order = "<" if self._first or data[1] & 1 else ">"
+        whole, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
         frame = data[16 : 16 + length].rstrip(b"\0").decode()
-        return seconds + 1e-9 * fraction, frame, order, 16 + length
+        return whole + 1e-9 * fraction, frame, order, 16 + length
 
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Says that a file is no recording whatever its reader raises."""
+    """Turn any error of a reader into DatasetError."""
     try:
         yield
     except (DatasetError, ModuleNotFoundError):
         raise
-    except Exception as error:  # the library's, struct's, and what else a crafted file brings
+    except Exception as error:  # the reader's own, struct's, and others for a crafted file
         raise DatasetError(
             f"{path}: cannot be read as a recording of ROS: {printable(error)[:200]}"
         ) from None
 
 
-def _of_livox(data: bytes, order: str, start: int, stamp_s: float, *, packed: bool) -> RawCloud:
-    """The points of a CustomMsg. After its header come a time of 8 bytes, how many points it
-    promises, four bytes, and how many follow; where the message is not `packed`, numbers lie at
-    multiples of their size."""
-    if not packed:
+def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
+    """Read the points of a CustomMsg whose header ends at `start`.
+
+    After the header come a time of 8 bytes, the number of points, four other bytes, and the length
+    of the array of points. Unless the message is `packed` (ROS 1), numbers are aligned to their
+    size.
+
+    Raises:
+        ValueError: The numbers of points differ, or the data ends before the last.
+    """
+    if not packed:  # CDR aligns after its own four bytes
         start = 4 + -(-(start - 4) // 8) * 8
     promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
     step = LIVOX_BYTES if packed else LIVOX_BYTES + 1
-    rest = data[start + 20 :]
-    held = (len(rest) + step - LIVOX_BYTES) // step
-    if not promised == count <= held:
-        raise ValueError(f"promises {promised} points and holds {min(count, held)}")
+    content = data[start + 20 :]
+    complete = (len(content) + step - LIVOX_BYTES) // step
+    if not promised == count <= complete:
+        raise ValueError(f"promises {promised} points and holds {min(count, complete)}")
     axes = [(axis, f"{order}f4") for axis in "xyz"]
     dtype = np.dtype([(LIVOX_TIME, f"{order}u4"), *axes, ("more", f"V{step - 16}")])
-    rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
-    return _raw_cloud(rows, (LIVOX_TIME, *"xyz", "reflectivity", "tag", "line"), stamp_s)
+    # the last point may lack its padding
+    rows = np.frombuffer(content.ljust(count * step, b"\0"), dtype, count)
+    return _of_rows(rows, "offset_time x y z reflectivity tag line")
 
 
-def _raw_cloud(rows: NDArray, fields: tuple[str, ...], stamp_s: float) -> RawCloud:
-    """The cloud of `rows` (n,), a structured array with x, y, z and the fields of times among all
-    `fields`."""
-    points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    returned = np.asarray(np.isfinite(points).all(axis=1) & points.any(axis=1))
-    times = {name: rows[name] for name in time_fields(rows.dtype.names or ())}
-    return RawCloud(points, fields, RawTimes(times, returned, stamp_s))
+def _of_rows(rows: NDArray[Any], layout: str) -> Cloud:
+    """Make a cloud of a structured array (n,); `layout` names its fields, for people."""
+    return cloud_of(
+        Table({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
+    )
 
 
-def _of_cloud(cloud: Any) -> RawCloud:
-    """The points of a PointCloud2. Raises ValueError if the message does not hold what it
-    promises."""
+def _of_cloud(cloud: Any) -> Cloud:
+    """Read the points of a PointCloud2. Raises ValueError if its data has not the size that its
+    fields say."""
     fields = {field.name: field for field in cloud.fields}
-    if missing := [axis for axis in "xyz" if axis not in fields]:
-        raise ValueError(f"has no {', '.join(missing)}")
     order = ">" if cloud.is_bigendian else "<"
     # NumPy's type of a point: the fields that are read, each with its offset
     layout: Any = {
         name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
-        for name in (*"xyz", *time_fields(list(fields)))
+        for name in used_fields([*fields])
     }
     shape, point_bytes, held = (cloud.height, cloud.width), cloud.point_step, len(cloud.data)
     row_bytes = point_bytes * shape[1]
-    if row_bytes * shape[0] != held:  # rows have gaps; else drivers may leave out how long one is
+    # some drivers leave `row_step` at 0: it is read only if rows have gaps
+    if row_bytes * shape[0] != held:
         row_bytes = cloud.row_step
-    least = np.dtype(layout).itemsize  # points that overlapped would be more than the bytes
-    fits = least <= point_bytes and point_bytes * shape[1] <= row_bytes
+    min_bytes = np.dtype(layout).itemsize  # with a smaller step, points would overlap
+    fits = min_bytes <= point_bytes and point_bytes * shape[1] <= row_bytes
     if row_bytes * shape[0] != held or not fits:
         raise ValueError(
             f"promises {' × '.join(map(str, shape))} points of {point_bytes} bytes in rows of "
-            f"{row_bytes}, and holds {held}; expected points of {least} or more"
+            f"{row_bytes}, and holds {held}; expected points of {min_bytes} or more"
         )
     strides = row_bytes, point_bytes
     rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
-    return _raw_cloud(rows, tuple(fields), seconds(cloud.header.stamp))
+    return _of_rows(rows, " ".join(fields))
+
+
+def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -> None:
+    """Write a file of MCAP with ROS 2 messages.
+
+    Args:
+        file: The open file.
+        kinds: Types of the messages, of `DEFINITIONS`.
+        rows: The messages, in the order of time; see `Row`.
+    """
+    from mcap_ros2.writer import Writer
+
+    writer = Writer(file)
+    schemas = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in kinds}
+    for number, when_ns, messages in rows:
+        for topic, (kind, message) in messages.items():
+            writer.write_message(
+                f"/{topic}", schemas[kind], message, log_time=when_ns, sequence=number
+            )
+    writer.finish()
+
+
+def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[str, Any]:
+    """Make the fields of a PointCloud2.
+
+    Args:
+        points: (n, 3), metres; written as float32.
+        header: The message's header.
+        more: Further fields of each point, (n,), of the types in `POINT_TYPES`.
+
+    Returns:
+        The message's fields by name; points are packed, without gaps.
+    """
+    # little-endian in the message, whatever this machine has
+    columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
+    dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    rows = np.rec.fromarrays([*columns.values()], dtype)
+    fields = [
+        {"name": name, "offset": at, "datatype": POINT_TYPES.index(kind.str[1:]), "count": 1}
+        for name, (kind, at, *_) in dtype.fields.items()  # type: ignore[union-attr]
+    ]
+    return {
+        "header": header,
+        "height": 1,
+        "width": len(rows),
+        "fields": fields,
+        "point_step": dtype.itemsize,
+        "row_step": rows.nbytes,
+        "data": rows.tobytes(),
+        "is_dense": True,
+    }

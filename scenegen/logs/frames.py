@@ -1,4 +1,4 @@
-"""Where frames are in one another over time, by the transforms and the odometry of a recording."""
+"""Poses of frames in one another over time, from the transforms and odometry of a recording."""
 
 import math
 from collections import defaultdict
@@ -10,34 +10,35 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.pose import chained
-from scenegen.errors import short
-from scenegen.poses import Track, poses_of
+from scenegen.base.errors import short
+from scenegen.worlds.poses import Track, poses_of
 
 STATIC = "_static"
-"""How topics of transforms end that hold for ever."""
+"""End of the topics of transforms that never change (`/tf_static`)."""
 CHANGED = 1e-3
-"""By how much numbers of a transform that holds for ever may differ when it is sent again."""
+"""Maximum difference between a static transform and the same one sent again: metres, and parts of
+a quaternion."""
 
 
 Source: TypeAlias = tuple[bool, str]
-"""Whether it is odometry, and its topic; of transforms, without `STATIC`."""
+"""Whether it is odometry, and its topic; for transforms, without `STATIC`."""
 Parents: TypeAlias = dict[tuple[str, str], dict[float, list[float]]]
-"""What one source says of a frame: by parent and topic, its x y z and x y z w there at each time,
-NaN for ever."""
+"""Poses of one frame from one source: by parent and topic, x y z and quaternion x y z w by time in
+seconds. A time of NaN is that of a static transform."""
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Where a frame is in another."""
+    """The pose of a frame in its parent, over time."""
 
     parent: str
     child: str
     topic: str
     track: Track
-    """The poses over time; of a transform that holds for ever, its time is NaN."""
+    """The child's poses in the parent; a static transform has one, whose time is NaN."""
 
     def at(self, time_s: float) -> Pose | None:
-        """The child's pose in the parent; None if it is not known at that time."""
+        """Return the child's pose in the parent; None if it is not known at that time."""
         return self.track.at(time_s) if self.track.is_timed else self.track.poses[0]
 
     def __str__(self) -> str:
@@ -45,22 +46,32 @@ class Link:
 
 
 class Links:
-    """Tree of frames. A frame hangs from one parent."""
+    """Tree of frames, in which each frame has one parent."""
 
     def __init__(self, fixed: str | None = None) -> None:
-        """Poses are in the frame `fixed`, and where a frame has several parents, this one counts;
-        None: the frame from which all others hang."""
+        """Begin an empty tree.
+
+        Args:
+            fixed: Name of the frame that poses are in; it also decides between several parents of
+                a frame. None: the root of the tree.
+        """
         self._fixed = fixed and fixed.lstrip("/")
         self._rows = defaultdict[str, dict[Source, Parents]](dict)
 
     def add(self, topic: str, message: Any) -> None:
-        """Take in a message with transforms, or of odometry."""
+        """Add the poses of a message.
+
+        Args:
+            topic: The message's topic.
+            message: A TFMessage, or an Odometry.
+        """
         transforms = getattr(message, "transforms", None)
         for entry in [message] if transforms is None else transforms:
             if transforms is None:
                 place, turn = entry.pose.pose.position, entry.pose.pose.orientation
             else:
                 place, turn = entry.transform.translation, entry.transform.rotation
+            # /tf_static is sent once, with any time
             time = math.nan if topic.endswith(f"tf{STATIC}") else seconds(entry.header.stamp)
             numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
             source = transforms is None, topic.removesuffix(STATIC)
@@ -68,12 +79,15 @@ class Links:
             rows = links.setdefault((entry.header.frame_id.lstrip("/"), topic), {})
             before = rows.setdefault(time, numbers)
             if math.isnan(time) and not np.allclose(before, numbers, atol=CHANGED):
-                rows[math.inf] = numbers  # refused, if the frame is needed
+                rows[math.inf] = numbers  # `_link` refuses it, but only if the frame is needed
 
     def chain(self, frame: str) -> tuple[Link, ...]:
-        """The links from a frame upwards, the first its own. Raises ValueError if nothing says
-        where it is, if a frame has two parents or hangs from itself, and for a link that is no
-        pose."""
+        """Return the links from a frame up to the fixed frame, the frame's own first.
+
+        Raises:
+            ValueError: No message has the frame's pose, a frame has two parents or is its own
+                ancestor, a pose is not valid, or the fixed frame is no ancestor.
+        """
         links, name = list[Link](), frame.lstrip("/")
         if name == self._fixed:
             raise ValueError(
@@ -88,7 +102,7 @@ class Links:
         while name in self._rows and name != self._fixed:
             links.append(self._link(name))
             name = links[-1].parent
-            if any(link.child == name for link in links):
+            if any(link.child == name for link in links):  # else this would never end
                 raise ValueError(f"its frame {short(name)} hangs from itself, by {links[-1].topic}")
         if self._fixed not in (None, name):
             raise ValueError(
@@ -98,8 +112,9 @@ class Links:
         return tuple(links)
 
     def _link(self, name: str) -> Link:
-        """What a frame hangs from, by the first of its sources. Raises ValueError as `chain`."""
-        # /tf, other transforms as they come in the recording, odometry
+        """Return the link from a frame to its parent, by its best source. Raises ValueError, see
+        `chain`."""
+        # best is /tf, then other transforms in the order of the recording, then odometry
         source = min(self._rows[name], key=lambda source: (source[0], source[1] != "/tf"))
         links = self._rows[name][source]
         parents = dict.fromkeys(parent for parent, _ in links)
@@ -116,7 +131,7 @@ class Links:
         if math.inf in rows:
             raise ValueError(
                 f"{topic} says twice, and not the same, where {short(name)} is in {short(parent)}; "
-                "expected one transform that holds for ever; give --poses"
+                "expected one transform, which never changes; give the poses with --poses"
             )
         times = sorted(rows)
         # before their filter has begun, drivers of odometry send quaternions of zeros
@@ -127,16 +142,24 @@ class Links:
 
 
 def pose_at(chain: Sequence[Link], time_s: float) -> Pose | None:
-    """The pose of a frame in the one in which its chain ends; None if a link is not known then."""
+    """Return the pose of a frame in the root of its chain.
+
+    Args:
+        chain: The frame's links, see `Links.chain`.
+        time_s: Time, seconds.
+
+    Returns:
+        The pose; None if a link has none at that time.
+    """
     pose = Pose.level((0.0, 0.0, 0.0))
     for link in chain:
-        here = link.at(time_s)
-        if here is None:
+        link_pose = link.at(time_s)
+        if link_pose is None:
             return None
-        pose = chained(here, pose)
+        pose = chained(link_pose, pose)
     return pose
 
 
 def seconds(stamp: Any) -> float:
-    """The time of a stamp of ROS."""
+    """Return the time of a ROS stamp, seconds."""
     return float(stamp.sec + 1e-9 * stamp.nanosec)

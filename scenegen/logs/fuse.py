@@ -1,15 +1,15 @@
-"""Maps of a log, made by following every ray of every scan; and some of its scans beside the truth
-that all of them tell."""
+"""Fuses the scans of a log into maps by following every ray, and writes some of the scans with the
+map around them as their truth."""
 
 import json
 import math
 import shutil
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,58 +20,65 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
-from scenegen.errors import DatasetError, SceneError
-from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
-from scenegen.limits import MOST_PLACE_VOXELS
+from scenegen.base.errors import DatasetError, SceneError
+from scenegen.base.executors import Counted, unheard
+from scenegen.base.files import check_free, disk_told, make_parent, remove_drafts, write_whole
+from scenegen.base.limits import MOST_PLACE_VOXELS
+from scenegen.base.reading import sha256_of
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.log import Log
-from scenegen.poses import between
-from scenegen.run import Counted, unheard
 from scenegen.truth.voxels import resample
+from scenegen.worlds.clouds.write import encode_npz
 from scenegen.worlds.place import box_of, encode_map
+from scenegen.worlds.poses import between
 
 THREADS = 2
-"""Threads that follow rays, each in a window of the map; a third adds the windows up."""
+"""Threads that follow rays, each in a window of the map; the calling thread adds the windows up."""
 SLICES = 100
-"""Parts of the way from scan to scan: where points are deskewed, those of a part move as one."""
+"""Parts of the time from scan to scan: deskewing moves the points of a part as one."""
 LATE = 10
-"""Messages of clouds are late by fewer than this."""
+"""Scans that are searched for one of another time: a message is late by fewer than so many."""
 PROGRESS, SAVE_EVERY_S = "progress.npz", 60.0
-"""The file that says how far a log is fused, and how often it is written, seconds."""
+"""The file with the state of an unfinished run, and how often it is written, seconds."""
 NOTHING = np.empty((2, 0, 0, 0), np.uint8)
-"""The counts of no voxel."""
-LEAST_SHARED = 0.1
-"""A scan of whose observed voxels a smaller share was met before does not overlap with those before
-it."""
-MOST_TOLD = 255
-"""Scans that are counted of a voxel: beyond, both of its counts are halved."""
+"""Counts of an empty map."""
+MIN_OVERLAP = 0.1
+"""A scan does not overlap earlier ones if they met a smaller share of its observed voxels."""
+MAX_COUNT = 255
+"""Maximum count of a voxel (uint8): at this, both of its counts are halved."""
 Counts: TypeAlias = NDArray[np.uint8]
 Window: TypeAlias = tuple[Ints, ObservedGrid, Floats]
-"""What one scan says of the voxels around it: the first of them (3,), counted from the world's
-origin; which are observed or free; and the returns (N, 3), from the sensor, along the world's axes,
-metres, see `are_returns`."""
+"""The voxels around one scan: the index of the first (3,), counted from the world's origin; which
+are observed or free; and the returns (N, 3), metres from the sensor along the world's axes, see
+`are_returns`."""
 
 
-def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> Counter[str]:
-    """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder
-    `out`. Until all is there, it is called as `out` with ``.part`` behind: where a run was stopped
-    or killed, or met a scan that cannot be read, the same call goes on from what it saved last, to
-    the same bits.
+def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> Counter[str]:
+    """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder.
 
-    A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied where
-    it holds returns, but for what moved on (see `Fusing`), and free where it holds none and a ray
-    crosses it. An observation, ``observations/000010.npz``, has the scan's `points` from the
+    The folder has ``.part`` behind its name until it is complete. If a run is stopped or killed, or
+    meets a scan that it cannot read, the same call continues from the last save, to the same bits.
+
+    A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied if it
+    holds returns, except those of moving objects (see `Fusing`), and free if it holds none and a
+    ray crosses it. An observation, ``observations/000010.npz``, has the scan's `points` from the
     sensor along the world's axes, `position`, `quaternion` and `time_s`; and in the usual grid
-    around it, `origin`, `voxel_m`, its own `observed` and `free`, and the whole map's `occupancy`
-    and `known`.
+    around it, `origin`, `voxel_m`, the scan's `observed` and `free`, and the map's `occupancy` and
+    `known`.
+
+    Args:
+        log: The log.
+        out: The folder, which must not exist.
+        how: Parameters.
+        on_done: Called with 1 after each scan, and first with the scans that an earlier run fused.
 
     Returns:
-        What was found, counted.
+        Counts of scans, returns, voxels, maps and observations, for the user.
 
     Raises:
-        DatasetError: A cloud cannot be read, or is to be deskewed and has no times of points; the
-            disk refuses, there is something at `out`, or another log's work goes on there.
-        SceneError: The log says nothing, or a map's file is too large.
+        DatasetError: A cloud cannot be read, or has no times of points although `how.deskew`; the
+            disk fails, `out` exists, or its ``.part`` is of another log or other parameters.
+        SceneError: No return is within reach of the sensor, or a map's file is too large.
     """
     if how.deskew:
         log.check_point_times()
@@ -79,91 +86,96 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
     with disk_told(out):
-        run = _Run(log, how, unfinished, on_scan)
+        run = _Run(log, how, unfinished, on_done)
         try:
             run.write()
-        except SceneError:
+        except SceneError:  # the same call would fail again: there is nothing to continue
             shutil.rmtree(unfinished)
             raise
         (unfinished / PROGRESS).unlink()
         remove_drafts(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
-    return run.counts
+    return run.report
 
 
 class _Run:
-    """A log that becomes maps in a folder, which holds what a run that goes on needs."""
+    """Fusion of a log into a folder, which also holds the state that a later run continues from."""
 
-    def __init__(self, log: Log, how: Fusing, folder: Path, on_scan: Counted):
-        """Begins, or goes on from what was saved in `folder`. Raises DatasetError where that is not
-        of this log."""
-        self._log, self._how, self._folder, self._on_scan = log, how, folder, on_scan
+    def __init__(self, log: Log, how: Fusing, folder: Path, on_done: Counted):
+        """Begin, or continue from the state in `folder`. Raises DatasetError if that is of another
+        log or other parameters."""
+        self._log, self._how, self._folder, self._on_done = log, how, folder, on_done
         poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
         self._key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
-        """What tells the log and how it is fused from others."""
+        """Hash of the log and the parameters, so that no run continues another's maps."""
         self._scan = 0
-        """The next one."""
-        self.counts = Counter(scans_without_pose=log.without_pose)
-        """What was found so far."""
-        self._told = NOTHING
+        """Number of the next scan."""
+        self.report = Counter(scans_without_pose=log.without_pose)
+        """Counts so far, see `ingest`."""
+        self._counts = NOTHING
         """(2, *shape): how many scans observed each voxel of the current map, and found it free;
         empty where no scan of it was counted."""
         if (folder / PROGRESS).exists():
             with np.load(folder / PROGRESS) as saved:
                 if str(saved["key"]) != self._key:
                     raise DatasetError(
-                        f"{folder}: holds another log's unfinished maps, or with other options; "
+                        f"{folder}: holds unfinished maps of another log or with other options; "
                         "remove it, or give another name"
                     )
-                self._scan, self._told = int(saved["scan"]), saved["told"]
-                self.counts = Counter(json.loads(str(saved["counts"])))
+                self._scan, self._counts = int(saved["scan"]), saved["counts"]
+                self.report = Counter(json.loads(str(saved["report"])))
         else:
             check_free(folder)
             (folder / "observations").mkdir(parents=True)
             self._save()
         self._saved_s = time.monotonic()
         self._scans = log.scans(self._scan)
-        on_scan(self._scan)
+        on_done(self._scan)
 
     def _save(self) -> None:
-        _put(
-            self._folder / PROGRESS,
-            np.savez,
-            told=self._told,
-            key=self._key,
-            scan=self._scan,
-            counts=json.dumps(self.counts),
-        )
+        progress = {
+            "counts": self._counts,
+            "key": self._key,
+            "scan": self._scan,
+            "report": json.dumps(self.report),
+        }
+        write_whole(self._folder / PROGRESS, encode_npz(progress))
         self._saved_s = time.monotonic()
 
     def write(self) -> None:
-        """See `ingest`."""
+        """Write the maps that are missing, and their observations.
+
+        Raises:
+            DatasetError: A cloud cannot be read, or the disk fails.
+            SceneError: No return is within reach of the sensor, or a map's file is too large.
+        """
+        # the parts are the same in every run, so that a saved scan says which of them are done
         for number, part in enumerate(self._parts()):
-            if self._scan >= part.stop:
+            if self._scan >= part.stop:  # an earlier run wrote this map
                 continue
-            kept = {
+            observations = {
                 n: self._folder / "observations" / f"{n:06d}.npz" for n in part[:: self._how.every]
             }
-            place = self._fused(part, kept)
+            place = self._fused(part, observations)
             name = f"place-{number:03d}.npz"
             write_whole(self._folder / name, encode_map(place, name))
-            for observation in kept.values():
-                self.counts.update(_observe(observation, place))
-            self.counts.update(
+            for observation in observations.values():
+                self.report.update(_observe(observation, place))
+            self.report.update(
                 maps=1,
-                observations=len(kept),
+                observations=len(observations),
                 occupied_voxels=int(np.count_nonzero(place.states == OCCUPIED)),
                 free_voxels=int(np.count_nonzero(place.states == FREE)),
             )
             self._save()
-        if not self.counts["occupied_voxels"]:
+        if not self.report["occupied_voxels"]:
             raise SceneError(
                 "no return of the log is within --reach of its sensor; expected clouds in metres"
             )
 
     def _parts(self) -> Iterator[range]:
-        """The numbers of the scans of each map."""
+        """Yield the range of scans of each map: as many as fit into `MOST_PLACE_VOXELS`."""
         poses = self._log.poses
         begin, low, high = 0, poses[0].position, poses[0].position
         for n, pose in enumerate(poses):
@@ -174,45 +186,46 @@ class _Run:
         yield range(begin, len(poses))
 
     def _box(self, low: Floats, high: Floats) -> tuple[Ints, tuple[int, ...]]:
-        """The first voxel, counted from the world's origin, and the shape of a map of scans from
-        positions between `low` and `high` (3,)."""
+        """Return index of the first voxel, counted from the world's origin, and shape of a map
+        whose scans lie between `low` and `high` (3,), metres."""
         how = self._how
         reach = np.array([how.reach_m, how.reach_m, how.rise_m])
-        least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
-        most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
-        return least, tuple((most - least).tolist())
+        first = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+        last = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
+        return first, tuple((last - first).tolist())
 
-    def _fused(self, part: range, kept: Mapping[int, Path]) -> VoxelMap:
-        """The map of some scans, which come next; those that are to be `kept` are written there."""
+    def _fused(self, part: range, observations: Mapping[int, Path]) -> VoxelMap:
+        """Return the map of the scans of `part`, from the next one on. Those of `observations` are
+        written to these files, still without truth."""
         positions = np.array([self._log.poses[n].position for n in part])
         first, shape = self._box(positions.min(axis=0), positions.max(axis=0))
-        if not self._told.size:
-            self._told = np.zeros((2, *shape), np.uint8)
-        (hits, misses), rest = self._told, range(self._scan, part.stop)
-        for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
-            least, seen, points = window
-            met, observed = _count(hits, misses, least - first, seen)
-            self.counts.update(
+        if not self._counts.size:
+            self._counts = np.zeros((2, *shape), np.uint8)
+        (hits, misses), remaining = self._counts, range(self._scan, part.stop)
+        for n, (scan, window) in zip(remaining, self._windows(remaining), strict=True):
+            corner, seen, points = window
+            overlapping, observed = _count(hits, misses, corner - first, seen)
+            self.report.update(
                 scans=1,
                 returns=len(points),
                 returns_left_out=len(scan.points) - len(points),
-                scans_without_overlap=int(n > part[0] and met < LEAST_SHARED * observed),
+                scans_without_overlap=int(n > part[0] and overlapping < MIN_OVERLAP * observed),
             )
-            if n in kept:
-                _put(
-                    kept[n],
-                    np.savez,
-                    points=points.astype(np.float32),
-                    position=scan.pose.position,
-                    quaternion=scan.pose.quaternion,
-                    time_s=np.float64(scan.time_s),
-                )
+            if n in observations:
+                observation = {
+                    "points": points.astype(np.float32),
+                    "position": scan.pose.position,
+                    "quaternion": scan.pose.quaternion,
+                    "time_s": np.float64(scan.time_s),
+                }
+                # not synced, for speed: a kill loses nothing, and a power failure at most this
+                write_whole(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
-            self._on_scan(1)
+            self._on_done(1)
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
-        self._told = NOTHING
-        self.counts.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
+        self._counts = NOTHING
+        self.report.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
         low, high = box_of(hits, lambda layer: layer != UNKNOWN)
         if not high.all():
             raise SceneError("no scan of the log has a return that its maps reach")
@@ -220,8 +233,11 @@ class _Run:
         return VoxelMap(states, self._how.voxel_m, (first + low) * self._how.voxel_m)
 
     def _windows(self, part: range) -> Iterator[tuple[LogScan, Window]]:
-        """Scans, each with what it says, in order; some are worked on ahead. What was counted is
-        saved where one cannot be read."""
+        """Yield scans and their windows in order; threads work some scans ahead.
+
+        Raises:
+            DatasetError: A scan cannot be read. The scans before it are counted and saved first.
+        """
         waiting, broken = deque[tuple[LogScan, Future[Window]]](), None
         with ThreadPoolExecutor(THREADS) as pool:
             for n in part:
@@ -240,41 +256,34 @@ class _Run:
                 if len(waiting) > 2 * THREADS:
                     ready, window = waiting.popleft()
                     yield ready, window.result()
+            # also before an error, so that its user need not fuse these scans again
             for ready, window in waiting:
                 yield ready, window.result()
         if broken is not None:
             self._save()
             raise DatasetError(
-                f"{broken}; mend it and give the same command again, which goes on from scan "
+                f"{broken}; mend it and give the same command again, which continues from scan "
                 f"{self._scan} of {len(self._log.poses)}"
             )
 
 
-def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
-    """Put arrays at `path`, complete or not at all, whenever the process is killed."""
-    draft = path.with_name(f"{path.name}.tmp")
-    with draft.open("wb") as file:
-        write(file, **arrays)
-    draft.replace(path)
-
-
 def _pace(log: Log, n: int) -> tuple[Pose, float]:
-    """Where the sensor is some seconds after scan n began, and how many; 0 if no scan near it has
-    another time."""
+    """Return a pose of the sensor after scan n began, and how many seconds after; 0 if no scan near
+    it has another time."""
     poses, times = log.poses, log.times_s
     # the next scan, unless its message was sent twice or late
     for after in range(n + 1, min(n + LATE, len(poses))):
         if times[after] > times[n]:
             return poses[after], float(times[after] - times[n])
     for before in range(n - 1, max(n - LATE, -1), -1):
-        if times[before] < times[n]:  # it goes on as it came
+        if times[before] < times[n]:  # extrapolated: the motion continues
             return between(poses[before], poses[n], 2.0), float(times[n] - times[before])
     return poses[n], 0.0
 
 
 def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
-    """What a scan says of the voxels around it, where the sensor goes at this `pace`."""
-    here, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
+    """Follow the rays of a scan through the voxels around it; `pace` is from `_pace`."""
+    center, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
     usable = are_returns(scan.points, min_range_m=how.least_m)
     points = scan.points[usable]
     ranges = np.sqrt((points**2).sum(axis=1))
@@ -290,10 +299,10 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
         points[inside] = rotate(pose.quaternion, points[inside]) + pose.position
         sensors[number] = pose.position
     # the window holds rays as far as they reach, and within the rise that is mapped
-    reached = here + np.minimum(1.0, how.reach_m / ranges)[:, None] * (points - here)
-    ends = np.concatenate([reached, [here, *sensors.values()]])
+    reached = center + np.minimum(1.0, how.reach_m / ranges)[:, None] * (points - center)
+    ends = np.concatenate([reached, [center, *sensors.values()]])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    low[2], high[2] = max(low[2], here[2] - how.rise_m), min(high[2], here[2] + how.rise_m)
+    low[2], high[2] = max(low[2], center[2] - how.rise_m), min(high[2], center[2] + how.rise_m)
     first = np.floor(low / voxel_m).astype(np.int64) - 2
     x, y, z = (np.floor(high / voxel_m).astype(np.int64) + 3 - first).tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=voxel_m, truncation_m=voxel_m)
@@ -302,61 +311,63 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
         inside = slices == number
         sort_points(sensor, points[inside], grid, seen.origin, reach_m=how.reach_m, into=seen)
     seen.free[seen.observed] = False
-    return first, seen, points - here
+    return first, seen, points - center
 
 
-def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tuple[int, int]:
-    """Add a scan's window, whose first voxel is `least` (3,), to how many scans observed each voxel
-    of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
-    many there are."""
-    low, high = np.maximum(least, 0), np.minimum(least + seen.observed.shape, hits.shape)
+def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tuple[int, int]:
+    """Add a scan's window to the counts of a map, in place.
+
+    Args:
+        hits: Scans that observed each voxel.
+        misses: Scans that found each voxel free.
+        corner: (3,): index of the window's first voxel in the map.
+        seen: The window.
+
+    Returns:
+        How many observed voxels an earlier scan met, and how many voxels were observed.
+    """
+    low, high = np.maximum(corner, 0), np.minimum(corner + seen.observed.shape, hits.shape)
     # where map and window overlap, in the map and in the window
-    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
+    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - corner, high - corner))
     hit, miss = hits[in_map], misses[in_map]
     observed, free = seen.observed[inside], seen.free[inside]
-    full = (observed | free) & (np.maximum(hit, miss) == MOST_TOLD)
-    if full.any():  # a count above 0 stays so
+    full = (observed | free) & (np.maximum(hit, miss) == MAX_COUNT)
+    if full.any():  # rounded up, so that a count above 0 stays above 0
         hit[full] -= hit[full] >> 1
         miss[full] -= miss[full] >> 1
-    met = observed & ((hit | miss) > 0)
+    overlapping = observed & ((hit | miss) > 0)
     hit += observed
     miss += free
-    return int(met.sum()), int(observed.sum())
+    return int(overlapping.sum()), int(observed.sum())
 
 
 def _settle(hits: Counts, misses: Counts, moved_share: float) -> int:
-    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of."""
+    """Replace each voxel's hits by its state; return how many voxels a moving object left free."""
     moved = 0
-    for hit, miss in zip(hits, misses, strict=True):  # layer by layer, for there may be very many
-        told = hit.astype(np.int64) + miss
-        gone = (hit > 0) & (hit < moved_share * told)
+    for hit, miss in zip(
+        hits, misses, strict=True
+    ):  # by layers, since int64 counts take much memory
+        total = hit.astype(np.int64) + miss
+        gone = (hit > 0) & (hit < moved_share * total)
         moved += int(gone.sum())
-        hit[:] = np.select([told == 0, gone | (hit == 0)], [UNKNOWN, FREE], OCCUPIED)
+        hit[:] = np.select([total == 0, gone | (hit == 0)], [UNKNOWN, FREE], OCCUPIED)
     return moved
 
 
 def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
-    """Add to a scan that is kept what it says of the grid around it, and what the map does. Counts
-    its returns in that grid, and those of them where the map says that nothing is: they were of
-    something that moved on, or grazed."""
+    """Add to an observation its own grid and the map's, which is the truth. Count its returns in
+    that grid, and those where the map has no solid: of a moving object, or grazing."""
     with np.load(path) as file:
-        found = dict(file)
-    grid, here = GridSpec(), found["position"]
-    origin = grid.origin_at(here)
-    seen = sort_points(here, found["points"] + here, grid, origin)
+        observation = dict(file)
+    grid, position = GridSpec(), observation["position"]
+    origin, points = grid.origin_at(position), observation["points"] + position
+    seen = sort_points(position, points, grid, origin)
     occupancy, known = resample(place, grid, origin)
-    _put(
-        path,
-        np.savez_compressed,
-        **found,
-        origin=origin,
-        voxel_m=np.float64(grid.voxel_m),
-        observed=seen.observed,
-        free=seen.free,
-        occupancy=occupancy,
-        known=known,
-    )
-    voxels = grid.index(found["points"] + here, origin)
+    observation |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
+    observation |= {"observed": seen.observed, "free": seen.free}
+    observation |= {"occupancy": occupancy, "known": known}
+    write_whole(path, encode_npz(observation), sync=False)
+    voxels = grid.index(points, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
     outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))
     return {"observed_returns": len(within), "returns_outside_truth": outside}

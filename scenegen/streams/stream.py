@@ -1,5 +1,5 @@
-"""A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of
-that; and who reads one, in order or in batches of different worlds, knows how far it has come."""
+"""Endless datasets without a disk: sample i is drawn on access, or in advance. Readers, in order or
+in batches of different worlds, can save and restore their position."""
 
 import json
 import multiprocessing
@@ -13,34 +13,44 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines import DEFAULT
-from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
-from scenegen.dataset.parts import schema_of
-from scenegen.errors import DatasetError, short, whole_number
-from scenegen.files import Json, sha256_of
-from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.sample import Sample, Samples, Schema, rng_of
-from scenegen.source import DrawnWorlds
-from scenegen.streams.ahead import Ahead, Slot, Unit, pack, record_type, unpack
-from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.base.errors import DatasetError, short, whole_number
+from scenegen.base.files import Json
+from scenegen.base.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
+from scenegen.base.reading import sha256_of
+from scenegen.dataset.contract import schema_of
+from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
+from scenegen.draw.sample import Sample, Samples, Schema, rng_of
+from scenegen.draw.source import DrawnWorlds
+from scenegen.streams.mixture import (
+    Ahead,
+    Component,
+    Mixture,
+    Slot,
+    Unit,
+    component_of,
+    pack,
+    parts_of,
+    record_type,
+    unpack,
+)
 from scenegen.worlds.mapping import Sensing
 
 KEPT_BYTES = 256 << 20
-"""Packed units that a process keeps in memory, those asked for last; with default maps, these are
-some 2500."""
+"""Size of packed units that a process keeps in memory, least recently used first to go: with
+default maps, about 2500 units."""
 AHEAD = 4
-"""Units for each worker process that are made before they are asked for."""
+"""Units per worker that are drawn in advance."""
 
 
 class Stream(Samples):
-    """Samples by number. `stream[i]` depends on what is drawn, the seed, the split and i alone.
+    """Samples by number. `stream[i]` depends only on the sources, the seed, the split and i.
 
-    The first n samples of a stream of one part are those of the dataset with its seed and split,
-    bit for bit; those of a mixture's part are, by themselves, those of that part's dataset.
-    Distances (`tudf`) are derived when accessed.
+    The first n samples of a stream of one source are those of the dataset with its seed and split,
+    bit for bit. In a mixture, this holds for the samples of each source. Distances (`tudf`) are
+    computed on access.
 
-    Plain `torch.utils.data` conventions hold: `len`, `[i]`, `__getitems__`, and any process, forked
-    or spawned, that it is handed to draws for itself. In one process, one thread at a time may use
-    it.
+    It follows the conventions of `torch.utils.data`: `len`, `[i]`, `__getitems__`; each process,
+    forked or spawned, draws for itself. Only one thread of a process may use it at a time.
     """
 
     _ahead: Ahead | None
@@ -60,19 +70,21 @@ class Stream(Samples):
         self.mixture = mixture
         self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
         parts = [
+            # units of a round identify the order: weights 1:2 and 2:4 give the same stream
             {"drawn": part.described(), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
         ]
         self.digest = sha256_of(json.dumps(parts, sort_keys=True).encode())
-        """What tells this stream from all others that give other samples, or in another order."""
+        """Identifies the samples and their order."""
+        # grid and known space are the same for all components, see `Mixture`
         first = mixture.components[0].recipe
         self.grid, self.lidar, self.known = first.grid, first.lidar, first.known
         self.settings = tuple(
             Sensing(part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
             for part in mixture.components
         )
-        """How the samples of every part are sensed; `lidar` and `mapping` are those of the
-        first."""
+        """How the samples of each part are sensed. `lidar` and `mapping` are those of the first
+        part."""
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = first.mapping
@@ -85,16 +97,16 @@ class Stream(Samples):
         return self._samples
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
-        """Several samples, as torch asks for a batch: their units are made by all workers at
-        once."""
+        """Read several samples; torch calls this for a batch. All workers draw their units in
+        parallel."""
         places = [self.mixture.place(self._checked(index)) for index in indices]
         self._prepare(dict.fromkeys(slot for slot, _ in places))
-        found = []
+        samples = []
         for slot, view in places:
             part, _ = slot
             packed = self._unit(slot)[view]
-            found.append(unpack(packed, self._records[part], self._schemas[part]))
-        return found
+            samples.append(unpack(packed, self._records[part], self._schemas[part]))
+        return samples
 
     def __repr__(self) -> str:
         return f"<Stream: {len(self)} samples, {self.name}, {self.split}>"
@@ -103,59 +115,66 @@ class Stream(Samples):
         return iter(Reader(self))
 
     def batches(self, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1) -> "Batches":
-        """Which samples each of many batches takes: see `Batches`. Raises DatasetError."""
+        """Divide the samples into batches; see `Batches`.
+
+        Args:
+            size: Number of samples of a batch, over all ranks.
+            rank: Number of this process.
+            ranks: Number of processes that share each batch.
+            loaders: Number of loader processes of each rank, or a multiple.
+
+        Raises:
+            DatasetError: if a number is invalid, or the stream is shorter than one round.
+        """
         return Batches(self, size, rank=rank, ranks=ranks, loaders=loaders)
 
     def part(self, index: int) -> tuple[int, int]:
-        """(which part of the mixture sample `index` is of, from 0; its number in that part's
-        dataset)."""
+        """Number of the part of sample `index`, and the sample's number in that part's dataset."""
         (part, unit), view = self.mixture.place(self._checked(index))
         return part, unit * self.mixture.components[part].viewpoints + view
 
     @property
     def schema(self) -> Schema:
-        """The schema of its samples; where parts differ, that of the first."""
+        """Schema of the samples; if parts differ, that of the first."""
         return self._schemas[0]
 
     @property
     def schemas(self) -> Sequence[Schema]:
-        """The schemas of its parts."""
+        """Schemas of the parts."""
         return self._schemas
 
     def expect(self, indices: Iterable[int]) -> None:
-        """Say which samples will be asked for next, in this order: workers then make these ahead of
-        need."""
+        """Announce which samples will be read, in this order. Workers then draw them in advance."""
         self._coming = (self.mixture.place(index)[0] for index in indices)
 
     def close(self) -> None:
-        """End the worker processes; what is asked for later begins new ones."""
+        """End the worker processes. Later requests start new ones."""
         if self._ahead is not None:
             self._ahead.close()
         self._ahead = None
 
     def __getstate__(self) -> dict[str, Any]:
+        # a copy in another process draws for itself
         return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": iter(())}
 
     def _forget(self) -> None:
-        """Begin anew, as a process of its own."""
+        """Reset the state of a process."""
         self._units, self._bytes = dict[Slot, Unit](), 0
         self._coming = iter(())
         self._ahead = None
         self._process = os.getpid()
 
     def _prepare(self, slots: Iterable[Slot]) -> None:
-        """Have workers make the units of `slots` that are not there, and then those that come
-        next."""
-        if (
-            self._process != os.getpid()
-        ):  # a fork, which has neither the workers nor a claim to them
+        """Have workers draw missing units of `slots`, and then announced ones."""
+        # workers belong to the process that started them
+        if self._process != os.getpid():
             self._forget()
-        if (
-            not self.workers or multiprocessing.current_process().daemon
-        ):  # which may have no processes of its own
+        # torch's loader processes are daemons, which may not start processes
+        if not self.workers or multiprocessing.current_process().daemon:
             return
         if self._ahead is None:
             self._ahead = Ahead(self._make, self.workers)
+        # empties the pipes, so that no worker waits to send
         self._ahead.collect()
         missing = [slot for slot in slots if slot not in self._units]
         for slot in missing:
@@ -167,67 +186,78 @@ class Stream(Samples):
                 room -= 1
 
     def _unit(self, slot: Slot) -> Unit:
-        """A unit's records, which are then those asked for last."""
+        """Packed samples of a unit, which becomes the most recently used one."""
         unit = self._units.pop(slot, None)
         if unit is None:
             unit = self._make(slot) if self._ahead is None else self._ahead.take(slot)
             self._bytes += sum(map(len, unit))
         self._units[slot] = unit
+        # the unit just read stays, however large it is
         while self._bytes > KEPT_BYTES and len(self._units) > 1:
             self._bytes -= sum(map(len, self._units.pop(next(iter(self._units)))))
         return unit
 
 
 def _unit_of(components: Sequence[Component], records: Sequence[np.dtype], slot: Slot) -> Unit:
-    """Draw the unit of a slot, in whatever process. Raises GenerationError."""
+    """Draw and pack the unit of a slot, in any process. Raises GenerationError."""
     part, unit = slot
     return tuple(pack(sample, records[part]) for sample in components[part].draw(unit).samples)
 
 
 class Place:
-    """A count of what was read, of what `of` says, in `unit`, up to `most`."""
+    """Position of a reader: a count of what was read.
+
+    Args:
+        of: Identity of what is read, which a state must match.
+        unit: Name of the count: "samples" or "batches".
+        most: Maximum of the count.
+    """
 
     def __init__(self, of: Json, unit: str, most: int):
-        self._of, self._unit, self._most = dict(of), unit, most
+        self._of, self._unit, self._limit = dict(of), unit, most
         self._done = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """How much came, in a few bytes that JSON takes; of batches, the same for all ranks.
+        """The position, as a few bytes of JSON. For batches, it is the same on all ranks.
 
-        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
-        use one.
+        Torch's loader reads batches before it hands them out. With a loader, count the batches that
+        you received instead.
         """
         return {**self._of, self._unit: self._done}
 
     def load_state_dict(self, state: Any) -> None:
-        """Go on from there. Raises DatasetError for the state of anything else."""
+        """Restore a position.
+
+        Raises:
+            DatasetError: if the state belongs to another stream, or is invalid.
+        """
         if not isinstance(state, Mapping):
             raise DatasetError(
                 f"state of a stream: {short(state)}: expected what state_dict() gave"
             )
-        for name, ours in self._of.items():
-            if state.get(name) != ours:
+        for name, expected in self._of.items():
+            if state.get(name) != expected:
                 raise DatasetError(
                     f"state of a stream: its {name} is {short(state.get(name))}, expected "
-                    f"{short(ours)}: it is of another one"
+                    f"{short(expected)}: it is of another one"
                 )
         where = f"state of a stream: its {self._unit} ="
-        self._done = whole_number(where, state.get(self._unit), 0, self._most)
+        self._done = whole_number(where, state.get(self._unit), 0, self._limit)
 
 
 class Reader(Place, Iterator[Sample]):
-    """A stream's samples in order, from 0 or from where a state says."""
+    """A stream's samples in order, from 0 or from a restored position."""
 
     def __init__(self, stream: Stream):
         super().__init__({"stream": stream.digest[:16]}, "samples", len(stream))
         self._stream = stream
 
     def __iter__(self) -> "Reader":
-        self._stream.expect(range(self._done, self._most))
+        self._stream.expect(range(self._done, self._limit))
         return self
 
     def __next__(self) -> Sample:
-        if self._done >= self._most:
+        if self._done >= self._limit:
             raise StopIteration
         sample = self._stream[self._done]
         self._done += 1
@@ -235,19 +265,19 @@ class Reader(Place, Iterator[Sample]):
 
 
 class Batches(Place, Iterator[list[int]]):
-    """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends
-    on the stream's seed, `size`, `loaders` and n alone.
+    """Sample numbers of each batch; a torch batch sampler. `batches[n]` depends only on the
+    stream's seed, `size`, `loaders` and n.
 
-    A *row* is the V samples, one after the other, of one world (see `Mixture.row`). The stream is
-    cut into blocks of `size` rows, in order; a block gives V batches, the v-th of the v-th sample
-    of each of its rows, which have an order that is drawn from the seed and the block's number. So
-    no batch holds two samples of a row, each sample comes once, and the same place in the V batches
-    of a block is always the same row: rank r of `ranks` takes every `ranks`-th place from r on, and
-    draws units that no other rank draws.
+    A *row* is V consecutive samples of one world (see `Mixture.row`). The stream is cut into blocks
+    of `size` rows. A block gives V batches: batch v has the v-th sample of each row. The order of
+    the rows is random, drawn from the seed and the block's number. Hence no batch has two samples
+    of a row, and each sample comes once. A row has the same position in all batches of its block.
+    Rank r of `ranks` takes every `ranks`-th position from r on, so that ranks never draw the same
+    units.
 
-    With `loaders` blocks at a time, batch n is of block n mod `loaders` among these. Torch deals
-    batches to its loader processes in just this way, so as many of them draw units that no other
-    draws; `loaders` may also be a multiple of their number.
+    With `loaders` > 1, consecutive batches alternate between `loaders` blocks. Torch deals batches
+    to its loader processes in the same way, so that they never draw the same units. `loaders` may
+    also be a multiple of their number.
     """
 
     def __init__(self, stream: Stream, size: int, *, rank: int, ranks: int, loaders: int):
@@ -263,6 +293,7 @@ class Batches(Place, Iterator[list[int]]):
         self._stream, self._size, self._loaders = stream, size, loaders
         self._mine = slice(rank, None, ranks)
         self._row = stream.mixture.row
+        # complete rounds only: all ranks and loaders get equally many batches
         self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
         if not self._count:
             raise DatasetError(
@@ -273,22 +304,24 @@ class Batches(Place, Iterator[list[int]]):
         super().__init__(place, "batches", self._count)
 
     def __len__(self) -> int:
-        """Batches of whole rounds of `loaders` blocks; samples beyond them come in none."""
+        """Number of batches of complete rounds of `loaders` blocks. Samples after these are not
+        used."""
         return self._count
 
     def __getitem__(self, number: int) -> list[int]:
-        """Batch `number`, or this rank's part of it. Raises IndexError."""
+        """Sample numbers of batch `number`, or of this rank's part of it. Raises IndexError."""
         if not 0 <= number < self._count:
             raise IndexError(f"batch {short(number)} of {self._count}")
-        turn, rest = divmod(number, self._row * self._loaders)
-        view, within = divmod(rest, self._loaders)
-        block = turn * self._loaders + within
+        turn, offset = divmod(number, self._row * self._loaders)
+        view, block_offset = divmod(offset, self._loaders)
+        block = turn * self._loaders + block_offset
         rng = rng_of(self._stream.seed, block)
+        # all ranks draw the same order, and each takes its part
         rows = block * self._size + rng.permutation(self._size)[self._mine]
         return (rows * self._row + view).tolist()
 
     def __iter__(self) -> "Batches":
-        if self._done == self._count:  # a pass that ended: the next begins anew
+        if self._done == self._count:  # after a complete pass, start again
             self._done = 0
         self._stream.expect(index for n in range(self._done, self._count) for index in self[n])
         return self
@@ -309,41 +342,51 @@ def stream(
     workers: int = 0,
     engine: str = DEFAULT,
 ) -> Stream:
-    """Samples by number, drawn when asked for: the first n are those that `scenegen.generate`
-    gives with this seed and split. No torch is needed.
+    """Make a stream: samples by number, drawn on access. The first n are those that
+    `scenegen.generate` makes with this seed and split. It does not need torch.
 
     Args:
-        worlds: A kind's name, "mixed" for all kinds, a recipe or its TOML file, an MJCF file, a
-            map, or a folder of these; or several, as a list, or as a mapping to weights. Samples
-            come in proportion to the weights, by a fixed rule (docs/stream.md).
-        seed: The same seed gives the same samples.
-        split: "train", "val" or "test". No world of one split is in another, because each draw is
-            seeded with its split.
-        samples: The stream's `len`.
-        workers: Processes that draw ahead of need; 0 draws in the process that asks.
-        engine: Name of the engine that casts the rays.
+        worlds: Name of a kind, "mixed" for all kinds, a recipe or its TOML file, an MJCF file, a
+            map, or a folder of these; or several, as a list or a mapping to weights. Samples come
+            in proportion to the weights, by a fixed rule (docs/stream.md).
+        seed: Seed of all random numbers.
+        split: "train", "val" or "test". Splits share no world, because draws are seeded with the
+            split.
+        samples: Length of the stream.
+        workers: Number of processes that draw in advance; with 0, samples are drawn on access in
+            this process.
+        engine: Name of the engine that casts rays.
+
+    Returns:
+        The stream. Reading a sample may raise GenerationError, IndexError and TypeError.
 
     Raises:
-        RecipeError, SceneError, DatasetError: What is asked for cannot be. Asking for a sample
-            raises GenerationError, IndexError and TypeError, too.
+        RecipeError: if a recipe is invalid.
+        SceneError: if a file cannot be used as a world.
+        DatasetError: if a number, the split or the engine is invalid.
     """
     seed = whole_number("stream: seed =", seed, 0, MOST_SEED)
-    parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight, seed)]
-    components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
-    own = seeds([one.recipe.kind for one in components], seed)
+    parts = [part for pair in parts_of(worlds) for part in _unmixed(*pair, seed)]
     components = [
-        replace(one, seed=its) if isinstance(one.source, DrawnWorlds) and one is not what else one
-        for one, its, (what, _) in zip(components, own, parts, strict=True)
+        component_of(source, seed=seed, split=split, engine=engine) for source, _ in parts
     ]
+    # several components of one kind must not draw the same worlds
+    part_seeds = seeds([component.recipe.kind for component in components], seed)
+    for n, (source, _) in enumerate(parts):
+        # a Component that the user made keeps its seed
+        if isinstance(components[n].source, DrawnWorlds) and components[n] is not source:
+            components[n] = replace(components[n], seed=part_seeds[n])
     mixture = Mixture(components, [weight for _, weight in parts])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers)
 
 
-def _unmixed(what: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:
-    """A part of a stream as parts of one kind each, which share its weight."""
-    file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
-    if what != MIXED and (file is None or not is_mixed(file)):
-        return [(what, weight)]
+def _unmixed(source: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:
+    """Split a part of several kinds into parts of one kind, which share its weight."""
+    file = (
+        Path(source) if isinstance(source, str | Path) and str(source).endswith(".toml") else None
+    )
+    if source != MIXED and (file is None or not is_mixed(file)):
+        return [(source, weight)]
     components = read_components(file, seed=seed)
-    part = fraction(weight, str(what)) / sum(share for _, share in components)
-    return [(recipe, part * share) for recipe, share in components]
+    unit_weight = fraction(weight, str(source)) / sum(share for _, share in components)
+    return [(recipe, unit_weight * share) for recipe, share in components]

@@ -1,5 +1,5 @@
-"""What is really there: which voxels the solids of a compiled model fill, and how far the nearest
-one is."""
+"""Ground truth: the voxels that the solids of a compiled model fill, and distances to the nearest
+one."""
 
 from scenegen.truth.distance import distance_field
 from scenegen.truth.occupancy import rasterize

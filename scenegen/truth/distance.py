@@ -9,16 +9,21 @@ from lidarsim.jit import kernel
 
 
 def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
-    """The TUDF of `occupancy` (*grid.shape): metres from each voxel's centre to the nearest
-    occupied voxel's centre.
+    """Compute the truncated unsigned distance field (TUDF) of an occupancy grid.
 
-    Exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared distance
-    in voxels; 0 where occupied, `truncation_m` everywhere in an empty map. Only occupancy within
-    the map counts (the paper's section "Training Data Generation").
+    Only occupancy within the map counts (the paper's section "Training Data Generation"). Squared
+    distances are whole numbers, and none beyond the truncation matters, so they fit in a byte (for
+    the default grid, 100 at most), and three passes of minima, one an axis, give them exactly
+    (Saito and Toriwaki 1994).
 
-    Squared distances are whole numbers, and none beyond the truncation matters, so they fit in a
-    byte (for the default grid, 100 at most) and three passes of minima, one an axis, give them
-    exactly (Saito and Toriwaki 1994).
+    Args:
+        occupancy: (*grid.shape).
+        grid: Its voxel and truncation.
+
+    Returns:
+        (*grid.shape): metres from each voxel's centre to the nearest occupied voxel's centre,
+        exactly ``float32(min(voxel_m * sqrt(float64(k)), truncation_m))`` with k the squared
+        distance in voxels; 0 where occupied, `truncation_m` everywhere in an empty map.
     """
     cap, table = lookup(grid)
     # a sum of two capped squares must fit the type
@@ -36,29 +41,34 @@ def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
 
 
 def lookup(grid: GridSpec) -> tuple[int, Field]:
-    """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of
-    squares up to it."""
+    """Tabulate the metres of squared distances.
+
+    Returns the squared distance in voxels from which on all is truncated, the cap, and the metres
+    (cap + 1,) of squares up to it."""
     reach = grid.truncation_m / grid.voxel_m
     cap = math.ceil(reach * reach)
+    # rounding of the quotient may have made the cap one too large
     while cap > 0 and grid.voxel_m * math.sqrt(cap - 1) >= grid.truncation_m:
         cap -= 1
     table = np.minimum(
         grid.voxel_m * np.sqrt(np.arange(cap + 1, dtype=np.float64)), grid.truncation_m
     )
+    # exact, also if the truncation is no root of a whole number
     table[cap] = grid.truncation_m
     return cap, table.astype(np.float32)
 
 
 @kernel
 def _transform(occupied, cap, table, reach, steps, run, row, squares, nearest, distance):
-    """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
+    """Compute squared distances up to `cap`, one axis after the other, and look them up in `table`.
 
-    All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by
-    a margin of `cap`, and slices surrounded by one, so that a shift along y or z is one shift of a
-    whole x-slice. What is filled between is made before: numba takes long to compile that.
-    """
+    All numbers have the type of `cap`, so that a vector register holds many. Lines along z are kept
+    apart by a margin of `cap`, and slices surrounded by one, so that a shift along y or z is one
+    shift of a whole x-slice. Work arrays come from the caller: numba takes long to compile their
+    creation."""
     nx, ny, nz = distance.shape
     line = nz + reach
+    # capped at reach + 1, so that the square fits the type and is cut by `cap` below
     _steps_along_x(occupied, steps, run, steps.dtype.type(reach + 1))
     for i in range(nx):
         for j in range(ny):
@@ -72,34 +82,38 @@ def _transform(occupied, cap, table, reach, steps, run, row, squares, nearest, d
 
 @kernel
 def _spread(source, squares, reach, line):
-    """Set `squares` (m,) to the least of what lies up to `reach` places of `line` numbers away in
-    `source`, which has as many more at either end, plus the places' square."""
+    """Set `squares` (m,) to the least of `source` up to `reach` places away plus the places'
+    square.
+
+    A place is `line` numbers wide; `source` has `reach` more places at either end."""
     m = len(squares)
-    here = source[reach * line :]
+    middle = source[reach * line :]
     for q in range(m):
-        squares[q] = here[q]
+        squares[q] = middle[q]
     for offset in range(1, reach + 1):
+        # both sides in one pass over memory
         before, after = source[(reach - offset) * line :], source[(reach + offset) * line :]
         _lower(squares, before[:m], after[:m], squares.dtype.type(offset * offset))
 
 
 @kernel
-def _steps_along_x(occupied, steps, run, most):
-    """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `most`; in
-    `run` (m,) they are counted."""
+def _steps_along_x(occupied, steps, run, cap):
+    """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `cap`; `run`
+    (m,) counts them."""
     nx, m = steps.shape
-    one = steps.dtype.type(1)
+    unit = steps.dtype.type(1)
     for direction in range(2):
         for p in range(m):
-            run[p] = most
+            run[p] = cap
         for q in range(nx):
             i = q if direction == 0 else nx - 1 - q
-            here, there = steps[i], occupied[i]
+            row, filled = steps[i], occupied[i]
             for p in range(m):
+                # a product instead of a branch, so that the loop is vectorized
                 run[p] = steps.dtype.type(
-                    min(steps.dtype.type(run[p] + one), most) * steps.dtype.type(one - there[p])
+                    min(steps.dtype.type(run[p] + unit), cap) * steps.dtype.type(unit - filled[p])
                 )
-                here[p] = min(here[p], run[p])
+                row[p] = min(row[p], run[p])
 
 
 @kernel

@@ -1,47 +1,63 @@
-"""Closed forms of MuJoCo's primitive shapes, in the shape's own frame: how far a point is, whether
-a cube touches or is inside.
+"""Closed forms of MuJoCo's primitive shapes, in the shape's frame: distance to a point, contact
+with a cube, and whether a cube is inside.
 
-A cube is given by its centre, by its three unit axes (the world's axes written in the shape's
-frame, so row a of the shape's rotation matrix is axis a) and by half its edge. Sizes are MuJoCo's:
-(radius), (radius, half length), half edges or semi-axes. `slack` is the distance at which a cube
-still counts as touching.
+A cube has a centre, three unit axes (the world's axes written in the shape's frame, so row a of the
+shape's rotation matrix is axis a) and half an edge. Sizes are MuJoCo's: (radius), (radius, half
+length), half edges or semi-axes. `slack` is the distance at which a cube still counts as touching.
 
 Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the
-root of three times `slack`, and ellipsoids up to 1.3 times, where their least radius of curvature
-(least semi-axis squared over the greatest) is at least `slack`; thinner ones err on the side of
-touching.
-"""
+root of three times `slack`, and ellipsoids up to 1.3 times, if their least radius of curvature
+(least semi-axis squared over the greatest) is at least `slack`; for thinner ones, some cubes that
+are farther away count as touching."""
 
 import math
 
 import numpy as np
 
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel
 def _along(rows, n, v):
-    """The product of row n with a vector."""
+    """Multiply row n with a vector."""
     return rows[n, 0] * v[0] + rows[n, 1] * v[1] + rows[n, 2] * v[2]
 
 
 @kernel
 def _square(v):
-    """A vector's squared length."""
+    """Return a vector's squared length."""
     return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 
 
 @kernel
 def moved(point, rows, n, t):
-    """A point moved by `t` times row n."""
+    """Move a point along a row of a matrix.
+
+    Args:
+        point: (3,).
+        rows: (3, 3).
+        n: The row's number.
+        t: The factor.
+
+    Returns:
+        x, y, z of the moved point.
+    """
     return point[0] + t * rows[n, 0], point[1] + t * rows[n, 1], point[2] + t * rows[n, 2]
 
 
 @kernel
 def distance(shape, size, x, y, z):
-    """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <=
-    0."""
+    """Compute the distance from a point to a filled shape. A plane fills z <= 0.
+
+    Args:
+        shape: Its code.
+        size: (3,), metres.
+        x, y, z: The point in the shape's frame, metres.
+
+    Returns:
+        Metres; 0 inside.
+    """
     if shape == SPHERE:
         return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
     if shape == CAPSULE:
@@ -60,15 +76,18 @@ def distance(shape, size, x, y, z):
 
 @kernel
 def _ellipsoid_distance(size, x, y, z):
-    """The nearest point of the surface is (a^2 x / (t + a^2), ...) with t > 0 the root of a convex,
-    falling function (Eberly, "Distance from a point to an ellipse, an ellipsoid, or a
-    hyperellipsoid"); Newton's method from 0 climbs to it from the left without overshooting."""
+    """Find the nearest point of an ellipsoid by Newton's method.
+
+    It is (a² x / (t + a²), ...) with t > 0 the root of a convex, falling function (Eberly,
+    "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid"). From 0, Newton's
+    method climbs to the root from the left without overshooting."""
     a, b, c = size[0] * size[0], size[1] * size[1], size[2] * size[2]
     p, q, r = a * x * x, b * y * y, c * z * z
     t = 0.0
     for _ in range(100):
         u, v, w = p / ((t + a) * (t + a)), q / ((t + b) * (t + b)), r / ((t + c) * (t + c))
         value = u + v + w - 1.0
+        # rounding of the sum; points inside end here at t = 0
         if value <= 1e-14:
             break
         t += 0.5 * value / (u / (t + a) + v / (t + b) + w / (t + c))
@@ -78,8 +97,19 @@ def _ellipsoid_distance(size, x, y, z):
 
 @kernel
 def touches(shape, size, axes, centre, half, slack):
-    """Whether the closed cube about the point `centre` comes within `slack` metres of the filled
-    shape, whose bounding box it touches."""
+    """Test whether a closed cube touches a filled shape.
+
+    Args:
+        shape: Its code.
+        size: (3,), metres.
+        axes: (3, 3): the cube's axes in rows.
+        centre: (3,): the cube's centre in the shape's frame, metres.
+        half: Half its edge, metres.
+        slack: How near counts as touching, metres.
+
+    Returns:
+        Whether it touches; valid only if the cube touches the shape's bounding box.
+    """
     reach = size[0] + slack
     if shape == SPHERE:
         return _point_to_cube2(axes, centre, half) <= reach * reach
@@ -96,10 +126,16 @@ def touches(shape, size, axes, centre, half, slack):
 
 @kernel
 def within(shape, size, axes, centre, half, slack):
-    """Whether the closed cube about the point `centre` lies in the shape, farther than `slack`
-    metres from its surface.
+    """Test whether a closed cube lies deep in a shape.
 
-    The shapes are convex, and so is what lies that deep in them: the cube's corners decide.
+    The shapes are convex, and so is their part at that depth: the cube's corners decide.
+
+    Args:
+        shape, size, axes, centre, half: As for `touches`.
+        slack: The depth below the surface, metres.
+
+    Returns:
+        Whether all of the cube is deeper than `slack`.
     """
     for i in (-half, half):
         face = moved(centre, axes, 0, i)
@@ -114,8 +150,9 @@ def within(shape, size, axes, centre, half, slack):
 
 @kernel
 def _is_deep(shape, size, x, y, z, slack):
-    """Whether a point lies in the shape, farther than `slack` from its surface; in an ellipsoid, so
-    far in the direction of its least semi-axis, which errs on the side of the surface."""
+    """Test whether a point lies in the shape, deeper than `slack`.
+
+    In an ellipsoid, the depth is underestimated by that along the least semi-axis."""
     if shape == CAPSULE:
         z -= min(max(z, -size[1]), size[1])
     if shape in (SPHERE, CAPSULE):
@@ -132,22 +169,22 @@ def _is_deep(shape, size, x, y, z, slack):
 
 @kernel
 def _point_to_cube2(axes, centre, half):
-    """Squared distance from the frame's origin to the cube."""
+    """Return the squared distance from the frame's origin to the cube."""
     total = 0.0
     for a in range(3):
         gap = max(abs(_along(axes, a, centre)) - half, 0.0)
+        # along the cube's own axes, it is a box
         total += gap * gap
     return total
 
 
 @kernel
 def _segment_to_cube2(axes, centre, reach, half):
-    """Squared distance from the segment |z| <= reach of the frame's z axis to the cube.
+    """Return the squared distance from the segment |z| <= reach of the frame's z axis to the cube.
 
     Along the segment the squared distance is convex and piecewise quadratic; its derivative is
     piecewise linear with a kink where the segment crosses a face's plane. The kinks around the
-    derivative's root are found, then the root.
-    """
+    derivative's root are found, then the root."""
     low, high = -reach, reach
     slope_low = _segment_slope(axes, centre, low, half)
     slope_high = _segment_slope(axes, centre, high, half)
@@ -166,6 +203,7 @@ def _segment_to_cube2(axes, centre, reach, half):
                         low, slope_low = t, slope
                     else:
                         high, slope_high = t, slope
+    # between two kinks the derivative is linear
     if slope_high > slope_low:
         low -= slope_low * (high - low) / (slope_high - slope_low)
     nearest = (centre[0], centre[1], centre[2] - low)
@@ -174,7 +212,8 @@ def _segment_to_cube2(axes, centre, reach, half):
 
 @kernel
 def _segment_slope(axes, centre, t, half):
-    """Half the derivative by t of the squared distance from the point (0, 0, t) to the cube."""
+    """Return half the derivative by t of the squared distance from the point (0, 0, t) to the
+    cube."""
     total = 0.0
     for a in range(3):
         offset = axes[a, 2] * t - _along(axes, a, centre)
@@ -187,8 +226,9 @@ def _segment_slope(axes, centre, t, half):
 
 @kernel
 def _box_touches(size, axes, centre, half, slack):
-    """Separating axes (Gottschalk 1996): the box's 3 faces and the 9 products of both's edges. The
-    cube's faces part it from no box whose bounding box it touches."""
+    """Test separating axes (Gottschalk 1996): the box's 3 faces and 9 products of edges.
+
+    The cube's faces part it from no box whose bounding box it touches."""
     for b in range(3):
         if (
             abs(centre[b])
@@ -199,6 +239,7 @@ def _box_touches(size, axes, centre, half, slack):
         e, f = axes[(a + 1) % 3], axes[(a + 2) % 3]
         for b in range(3):
             c, d = (b + 1) % 3, (b + 2) % 3
+            # the product's squared length; parallel edges give none
             length2 = 1.0 - axes[a, b] * axes[a, b]
             if length2 > 1e-12:
                 gap = abs(centre[d] * axes[a, c] - centre[c] * axes[a, d])
@@ -214,10 +255,12 @@ def _box_touches(size, axes, centre, half, slack):
 
 @kernel
 def _ellipsoid_touches(size, axes, centre, half, slack):
-    """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose
-    point nearest to the centre is found among the interiors of its faces and edges. There, the gap
-    is at least (f - 1) / |grad f| with f the scaled length (f is convex), and equals it to first
-    order."""
+    """Test a cube against an ellipsoid, scaled so that it is the unit ball.
+
+    The cube is then a parallelepiped, whose point nearest to the centre is found among the
+    interiors of its faces and edges. There, the gap is at least (f - 1) / |grad f| with f the
+    scaled length (f is convex), and equals it to first order."""
+    # the cube holds the ellipsoid's centre
     if _point_to_cube2(axes, centre, half) == 0.0:
         return True
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
@@ -227,7 +270,7 @@ def _ellipsoid_touches(size, axes, centre, half, slack):
         m[i, 0] = half * axes[i, 0] * a
         m[i, 1] = half * axes[i, 1] * b
         m[i, 2] = half * axes[i, 2] * c
-    least, nearest = math.inf, middle
+    least2, nearest = math.inf, middle
     for i in range(3):  # every edge along half edge i, and the faces that the other two span
         j, k = (i + 1) % 3, (i + 2) % 3
         ii = _along(m, i, m[i])
@@ -237,27 +280,31 @@ def _ellipsoid_touches(size, axes, centre, half, slack):
         for s in (-1.0, 1.0):
             face = moved(middle, m, i, s)
             ju, ku = _along(m, j, face), _along(m, k, face)
+            # the foot of the perpendicular in the face's plane; beyond the face, an edge is nearer
             det = jj * kk - jk * jk
             p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
             if abs(p) <= 1.0 and abs(q) <= 1.0:
-                at = moved(moved(face, m, j, p), m, k, q)
-                if _square(at) < least:
-                    least, nearest = _square(at), at
+                point = moved(moved(face, m, j, p), m, k, q)
+                if _square(point) < least2:
+                    least2, nearest = _square(point), point
             for r in (-1.0, 1.0):
                 edge = moved(moved(middle, m, j, s), m, k, r)
-                at = moved(edge, m, i, min(max(-_along(m, i, edge) / ii, -1.0), 1.0))
-                if _square(at) < least:
-                    least, nearest = _square(at), at
-    if least <= 1.0:
+                point = moved(edge, m, i, min(max(-_along(m, i, edge) / ii, -1.0), 1.0))
+                if _square(point) < least2:
+                    least2, nearest = _square(point), point
+    if least2 <= 1.0:
         return True
-    f = math.sqrt(least)
+    f = math.sqrt(least2)
     slope = (nearest[0] * a, nearest[1] * b, nearest[2] * c)
+    # the gradient of f is slope / f
     return (f - 1.0) * f <= slack * math.sqrt(_square(slope))
 
 
 @kernel
 def _cylinder_touches(radius, reach, axes, centre, half):
-    """The part of the cube between the cylinder's two end planes is convex, so it touches when its
+    """Test a cube against a cylinder.
+
+    The part of the cube between the cylinder's two end planes is convex, so it touches when its
     shadow along the axis does: when the axis runs through it, or one of its edges (the cube's, cut
     at the planes, and the cuts themselves) passes the axis within the radius."""
     enter, leave = -reach, reach
@@ -266,6 +313,7 @@ def _cylinder_touches(radius, reach, axes, centre, half):
         enter, leave = _clipped(enter, leave, offset, axes[a, 2], half, 1e-15)
     if enter <= leave:
         return True
+    # else an edge comes nearest to the axis
     limit = radius * radius
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -286,10 +334,11 @@ def _cylinder_touches(radius, reach, axes, centre, half):
 
 
 @kernel
-def _clipped(low, high, offset, slope, reach, least):
-    """What of the interval [low, high] of t has |offset + slope t| <= reach, [inf, -inf] where
-    nothing; a slope of at most `least` counts as none."""
-    if abs(slope) > least:
+def _clipped(low, high, offset, slope, reach, flat):
+    """Return the part of the interval [low, high] of t with |offset + slope t| <= reach.
+
+    It is [inf, -inf] if empty; a slope of at most `flat` counts as 0."""
+    if abs(slope) > flat:
         s, t = (-reach - offset) / slope, (reach - offset) / slope
         return max(low, min(s, t)), min(high, max(s, t))
     if abs(offset) > reach:
@@ -299,7 +348,7 @@ def _clipped(low, high, offset, slope, reach, least):
 
 @kernel
 def _segment_norm2(p, q):
-    """Squared distance from the z axis to the segment pq, seen along it."""
+    """Return the squared distance from the z axis to the segment pq, seen along that axis."""
     px, py, dx, dy = p[0], p[1], q[0] - p[0], q[1] - p[1]
     length2 = dx * dx + dy * dy
     t = min(max(-(px * dx + py * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
@@ -309,8 +358,8 @@ def _segment_norm2(p, q):
 
 @kernel
 def _face_cut_norm2(axes, centre, i, si, height, half):
-    """Squared distance from the axis to the segment in which the plane z = height cuts one face;
-    inf if it does not."""
+    """Return the squared distance from the axis to the segment in which the plane z = height cuts
+    one face; inf without a cut."""
     j, k = (i + 1) % 3, (i + 2) % 3
     face = moved(centre, axes, i, si)
     cz = face[2] - height

@@ -1,4 +1,4 @@
-"""A map of voxels, resampled into a sample's grid: what is occupied there, and what is known."""
+"""Resampling of a voxel map into a sample's grid: its occupancy and known space."""
 
 import math
 
@@ -10,23 +10,31 @@ from lidarsim.grid import Floats, GridSpec, Ints, Mask
 from lidarsim.jit import kernel
 
 LEAST_OVERLAP_M = 1e-6
-"""Voxels that overlap less than this along an axis only touch: rounding is less."""
+"""Voxels that overlap less than this along an axis only touch, because of rounding."""
 LEAST_KNOWN = 0.5
 """The share of a voxel's volume that must be free in the map for the voxel to be known as free."""
 
 
 def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask, Mask]:
-    """Occupancy and known space, both (*grid.shape), of the grid whose least corner is `origin`
-    (3,), world metres.
+    """Resample a voxel map.
 
     A voxel is occupied where it overlaps an occupied voxel of the map, whatever their sizes, so
     that every return of a `VoxelEngine` lies in an occupied voxel. It is known where it is
     occupied, or where at least half of its volume is free in the map.
+
+    Args:
+        voxels: The map.
+        grid: The grid to fill.
+        origin: (3,): the grid's least corner in the world, metres.
+
+    Returns:
+        Occupancy and known space, both (*grid.shape).
     """
     occupancy = np.zeros(grid.shape, bool)
     known = np.zeros(grid.shape, bool)
     first = (np.asarray(origin, float) - voxels.origin) / voxels.voxel_m
     states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
+    # in voxels of the map, as everything from here on
     slack = LEAST_OVERLAP_M / voxels.voxel_m
     x, y, z = (
         _axis(*axis, edge, slack) for axis in zip(first, grid.shape, states.shape, strict=True)
@@ -36,24 +44,27 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
 
 
 def _axis(
-    first: float, count: int, most: int, edge: float, slack: float
+    first: float, count: int, limit: int, edge: float, slack: float
 ) -> tuple[Ints, Floats, Floats]:
-    """For each of `count` voxels of `edge` map voxels from `first` on: the map's voxels, from and
-    up to, that it overlaps, (count, 2), at most `most` of them; the part of it, along this
-    axis, that lies in each of these; and in all of them."""
+    """Match voxels of a grid with a map's along one axis.
+
+    For each of `count` voxels of `edge` map voxels from `first` on, returns the map's voxels that
+    it overlaps, from and up to, (count, 2), of `limit` in all; the share of it that lies in each of
+    these; and in all of them."""
     low, high = first + np.arange(count) * edge, first + np.arange(1, count + 1) * edge
     ends = np.stack([np.floor(low + slack), np.ceil(high - slack)], axis=1)
-    spans = np.clip(ends, 0, most).astype(np.int64)
+    spans = np.clip(ends, 0, limit).astype(np.int64)
     numbers = spans[:, :1] + np.arange(math.ceil(edge) + 1)
     part = np.minimum(high[:, None], numbers + 1.0) - np.maximum(low[:, None], numbers)
     shares = np.where(numbers < spans[:, 1:], np.maximum(part, 0.0) / edge, 0.0)
-    return spans, shares, shares.cumsum(axis=1)[:, -1]  # one after the other
+    return spans, shares, shares.cumsum(axis=1)[:, -1]  # cumsum adds in order; sum would not
 
 
 @kernel
 def _resample(states, x, y, z, occupancy, known):
-    """Bits of states are joined along x, then y, then z; volumes are summed where these do not
-    tell. Axes are as `_axis` gives them."""
+    """Join bits of states along x, then y, then z; sum volumes where these do not decide.
+
+    Axes are as `_axis` gives them."""
     nx, ny, nz = occupancy.shape
     (xs, in_x, all_x), (ys, in_y, all_y), (zs, in_z, all_z) = x, y, z
     left, right, low, high = ys[0, 0], ys[ny - 1, 1], zs[0, 0], zs[nz - 1, 1]
@@ -67,9 +78,9 @@ def _resample(states, x, y, z, occupancy, known):
     for i in range(nx):
         rows[:] = 0
         for a in range(xs[i, 0], xs[i, 1]):
-            here, there = rows.reshape(-1), states[a, left:right].reshape(-1)
-            for c in range(len(here)):  # 1 << state, as a vector register has it
-                here[c] |= there[c] + np.uint8(1) + (there[c] >> np.uint8(1))
+            target, source = rows.reshape(-1), states[a, left:right].reshape(-1)
+            for c in range(len(target)):  # 1 << state for 0, 1 and 2, by operations that vectorize
+                target[c] |= source[c] + np.uint8(1) + (source[c] >> np.uint8(1))
         for j in range(ny):
             column[:], joined[:] = 0, 0
             for b in range(ys[j, 0] - left, ys[j, 1] - left):
@@ -79,12 +90,13 @@ def _resample(states, x, y, z, occupancy, known):
             for place in places:
                 for k in range(nz):
                     joined[k] |= column[place[k]]
-            for k in range(nz):  # what lies beyond the map is unknown
+            for k in range(nz):  # space beyond the map is unknown; unknown is 1 << 0
                 joined[k] |= all_x[i] * all_y[j] * all_z[k] <= LEAST_KNOWN
-            if _tell(joined, occupancy[i, j], known[i, j]) == 0:
+            if _classify(joined, occupancy[i, j], known[i, j]) == 0:
                 continue
             for k in range(nz):
                 if joined[k] == 1 << UNKNOWN | 1 << FREE:
+                    # no voxel in it is occupied: the free volume decides
                     part = 0.0
                     for a in range(xs[i, 1] - xs[i, 0]):
                         for b in range(ys[j, 1] - ys[j, 0]):
@@ -92,16 +104,17 @@ def _resample(states, x, y, z, occupancy, known):
                             share = in_x[i, a] * in_y[j, b]
                             for c in range(len(line)):
                                 part += share * in_z[k, c] * (line[c] == FREE)
+                    # 1e-9: shares that sum to exactly one half may round below it
                     known[i, j, k] = part >= LEAST_KNOWN - 1e-9
 
 
 @kernel
-def _tell(joined, occupied, known):
-    """Fill two columns by the states that lie in each voxel; and the number of those that are
-    partly free, and else unknown."""
-    untold = 0
+def _classify(joined, occupied, known):
+    """Fill two columns by the states in each voxel; count voxels that are partly free, else
+    unknown."""
+    undecided = 0
     for k in range(len(joined)):
         occupied[k] = joined[k] >= 1 << OCCUPIED
         known[k] = joined[k] >= 1 << FREE
-        untold += joined[k] == 1 << UNKNOWN | 1 << FREE
-    return untold
+        undecided += joined[k] == 1 << UNKNOWN | 1 << FREE
+    return undecided

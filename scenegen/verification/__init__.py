@@ -1,5 +1,5 @@
-"""Check a dataset folder against docs/format.md: docs/checks.md says what each check proves, and
-what it cannot see."""
+"""Check a dataset folder against docs/format.md. docs/verify.md describes what each check proves,
+and what it cannot detect."""
 
 from scenegen.verification.check import Check
 from scenegen.verification.folder import verify

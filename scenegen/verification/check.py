@@ -1,9 +1,9 @@
-"""What a check is, and what checks are handed at each level of the walk over a dataset: files,
-archives, shards, samples, and the folder. What several checks need is computed here, once."""
+"""The type of a check, and its inputs at each level: files, archives, shards, samples, folder.
+Values that several checks need are cached in these inputs."""
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from io import BufferedReader
@@ -16,87 +16,89 @@ from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fus
 from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
-from lidarsim.solids.shapes import Solids
+from lidarsim.solids import Solids
+from scenegen.base.errors import BrokenError, SceneError, raised_as
 from scenegen.dataset.archive import open_archive, referred
+from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.trust import Entry, Manifest
-from scenegen.errors import SceneError, raised_as
-from scenegen.sample import rng_of
+from scenegen.dataset.schema import ShardEntry
+from scenegen.draw.sample import rng_of
 from scenegen.verification.rays import MapAuditor
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import AnyWorld, archived_world
 
 CONTENT = ("observed", "occupancy", "ranges", "position", "quaternion", "origin")
-"""What a sample's digest covers before its name, `world` and `viewpoint`, in order: written anew
-from docs/format.md."""
-AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
-"""Expensive checks look at this share of a shard's samples, and at this many at least."""
+"""Fields that a sample's digest covers before `world` and `viewpoint`, in order. Independent of the
+writer's code: from docs/format.md."""
+AUDITED_SHARE, MIN_AUDITED = 0.05, 8
+"""Expensive checks examine this share of a shard's samples, and at least this number."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One check of a dataset.
 
-    Its examinations are functions, one for each level at which it looks. Each is handed what it
-    looks at, and the check's page of the ledger: there it writes down faults, counts what it
-    examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
-    this check. One that counts nothing and finds no fault is told as skipped, so a check counts
-    also the samples in which there is nothing to find.
+    It has a function for each level that it examines. The function gets the object and the check's
+    page of the ledger, where it records faults, counts what it examined, and keeps data for the
+    final level. A BrokenError becomes a fault of the check. A check that counts nothing and has no
+    faults is reported as skipped, so checks count samples without findings, too.
     """
 
     name: str
     proves: str = ""
-    """What holds of a dataset that passes, for readers."""
+    """Property of every dataset that passes, for readers."""
     quick: bool = False
-    """Whether `--quick` makes it."""
+    """Whether it is part of `--quick`."""
     field: str = ""
-    """The field of samples that it examines, where not every dataset stores that field: without it
-    the check is left out. What else a check depends on, such as `Manifest.tables` or `noise`, it
-    asks its `Sample.contract` itself."""
+    """Field that it examines, if some datasets lack it; the check is then omitted. Functions test
+    other conditions themselves, by `Sample.contract`."""
+    part: bool = False
+    """Whether it examines optional parts (see `scenegen.draw.parts`); without any, the check is
+    omitted."""
     file: "Callable[[SignedFile, Page], None] | None" = None
-    """Looks at the bytes of a shard or of an archive."""
+    """Examines the bytes of a shard or an archive."""
     archive: "Callable[[Worlds, Page], None] | None" = None
-    """Looks at the worlds of a shard's archive, which are screened by then."""
+    """Examines the screened worlds of an archive."""
     shard: "Callable[[Shard, Page], None] | None" = None
-    """Looks at a shard, whose file is open by then, before its samples."""
+    """Examines an open shard, before its samples."""
     sample: "Callable[[Sample, Page], None] | None" = None
-    """Looks at one sample, whose fields are unpacked by then."""
+    """Examines one unpacked sample."""
     folder: Callable[[Manifest, Page], None] | None = None
-    """Looks at the whole folder in the end; the page holds what the levels before kept."""
+    """Examines the whole dataset at the end, with the data that earlier levels kept."""
 
 
 OWN_CHECKS = Registry("check", {}, needs={"name": "its name"})
-"""Checks of a user's own, each a `Check` named as ``module:Object``."""
+"""Checks of the user, each a `Check` named as ``module:Object``."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """All that examining one shard depends on."""
+    """Input of one shard's examination."""
 
     contract: Manifest
-    """What is promised of the dataset that the shard was made for, without its other shards."""
-    entry: Entry
-    """The shard, as the manifest lists it."""
+    """Manifest of the dataset, without its list of shards."""
+    entry: ShardEntry
+    """The shard's entry in the manifest."""
     number: int
     """Its position in the manifest."""
     quick: bool
     seed: int
     twins_of: int
-    """One of so many samples is compared with those of other splits."""
+    """Every n-th sample is compared with other splits, where n is this number."""
     own: tuple[str, ...] = ()
-    """The user's own checks, as ``module:Object``."""
+    """The user's checks, as ``module:Object``."""
 
     @property
     def file(self) -> str:
-        """The shard's, by which executors call the task."""
+        """File of the shard; executors use it to name the task."""
         return self.entry.file
 
 
 @dataclass(frozen=True, eq=False)
 class SignedFile:
-    """A file whose SHA-256 the manifest lists."""
+    """A file with its SHA-256 in the manifest."""
 
     file: BufferedReader
     name: str
@@ -104,38 +106,54 @@ class SignedFile:
 
 
 def auditor(world: AnyWorld, made_with: str) -> Caster:
-    """The engine that casts rays anew in a world: never the one that the dataset was `made_with`,
-    and always one of ours."""
+    """Engine that repeats the casting of rays: another one than the dataset's, and always one of
+    ours.
+
+    Args:
+        world: The world.
+        made_with: Name of the dataset's engine.
+    """
     if isinstance(world, Place):
         return MapAuditor(world.voxels)
+    # an engine cannot confirm its own results
     return world.caster(AnalyticEngine.of if made_with == MUJOCO else MujocoEngine)
 
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """The archive of one shard, screened."""
+    """The screened archive of one shard."""
 
     task: Task
     documents: dict[int, bytes]
-    """MJCF by the world's number."""
+    """MJCF documents by the number of the world."""
     outlines: dict[int, bytes]
-    """What `screen` gives for each document."""
+    """Result of `screen` for each document."""
     assets: dict[str, bytes]
     solids: dict[int, Solids | VoxelMap] = field(default_factory=dict)
-    """The solids of every world that was compiled, or its map, by its number."""
+    """Solids, or maps, of all compiled worlds, by number."""
 
     @classmethod
     def read(cls, task: Task, file: BufferedReader, name: str) -> "Worlds":
-        """Read and screen all members of the archive in `file`. Raises BrokenError, which names
-        `name` and the fault."""
-        most = task.entry.samples
+        """Read and screen all members of an archive.
+
+        Args:
+            task: The shard.
+            file: The open archive.
+            name: Its name, for messages.
+
+        Raises:
+            BrokenError: if it is damaged, or a world is refused.
+        """
+        max_worlds = task.entry.samples
         with open_archive(file, name) as members:
-            if (worlds := sum(member.endswith(".xml") for member in members)) > most:
-                raise BrokenError(f"{worlds} worlds, expected one a sample at most, {most}")
+            # bounds the time that screening may take
+            if (worlds := sum(member.endswith(".xml") for member in members)) > max_worlds:
+                raise BrokenError(f"{worlds} worlds, expected one a sample at most, {max_worlds}")
             assets = {member: members.read(member) for member in members}
             documents = {
                 int(name[:-4]): assets.pop(name) for name in [*assets] if name.endswith(".xml")
             }
+            # screened before anything compiles them, as MuJoCo may crash on hostile documents
             outlines = {
                 number: screen(document, assets, f"{number:06d}.xml")
                 for number, document in documents.items()
@@ -143,22 +161,26 @@ class Worlds:
         return cls(task, documents, outlines, assets)
 
     def source(self, number: int) -> tuple[bytes, dict[str, bytes]]:
-        """A world's document and the files it refers to. Raises BrokenError where there is none."""
+        """Document of a world, and the files that it refers to.
+
+        Raises:
+            BrokenError: if there is no such world.
+        """
         if number not in self.documents:
             raise BrokenError(f"has no member {number:06d}.xml")
         document = self.documents[number]
         return document, {name: self.assets[name] for name in referred(document, self.assets)}
 
     def compile(self, number: int) -> Solids | VoxelMap:
-        """Compile a world to its solids, or read its map, which checks of samples are handed later.
-        Raises BrokenError."""
+        """Compile a world, and keep its solids, or its map, for checks of samples. Raises
+        BrokenError."""
         world = self.world(number)
         self.solids[number] = world.voxels if isinstance(world, Place) else world.solids
         return self.solids[number]
 
-    @lru_cache(maxsize=1)  # noqa: B019 (samples come world by world)
+    @lru_cache(maxsize=1)  # noqa: B019 (consecutive samples share a world)
     def world(self, number: int) -> AnyWorld:
-        """A world, compiled. Raises BrokenError."""
+        """Compile a world. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with raised_as(BrokenError, of=SceneError):
             return archived_world(*self.source(number), name=name)
@@ -166,55 +188,51 @@ class Worlds:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """One shard, its file open."""
+    """One open shard."""
 
     task: Task
     worlds: Worlds | None
-    """None where the archive cannot be read."""
+    """None if the archive cannot be read."""
     file: ShardFile
     rejected: dict[str, Counter[str]]
-    """How many worlds and viewpoints were rejected, by reason, as the shard says."""
+    """Numbers of rejected worlds and viewpoints by reason, as stored in the shard."""
 
     @cached_property
     def rng(self) -> np.random.Generator:
-        """What is chosen at random in this shard comes from here, in the order of its samples."""
+        """Random choices in this shard, in the order of its samples."""
         return rng_of(self.task.seed, self.task.number)
 
     @cached_property
-    def places(self) -> Sequence[int]:
-        """Positions of its samples in their split; where the shard is cut, as their names tell.
-        Raises BrokenError."""
-        entry = self.task.entry
-        if not entry.cut:
-            return range(entry.start, entry.stop)
-        found: list[int] = (
-            self.task.contract.numbering(entry.split)
-            .place(self.file.column("world"), self.file.column("viewpoint"))
-            .tolist()
-        )
-        if (min(found), max(found)) != (entry.start, entry.stop - 1):
-            raise BrokenError(
-                f"{entry.file}: its samples stood from {min(found)} to {max(found)} in their "
-                f"split, the manifest says {entry.start} to {entry.stop - 1}"
-            )
-        return found
+    def first_place(self) -> int:
+        """Position of its first sample in its split. Raises BrokenError."""
+        return self.task.contract.first_place(self.task.entry)
 
     @cached_property
     def audited(self) -> frozenset[int]:
-        """The samples that expensive checks look at."""
+        """Rows of the samples that expensive checks examine."""
         samples = self.task.entry.samples
-        chosen = self.rng.permutation(samples)[: max(LEAST_AUDITED, round(AUDITED_SHARE * samples))]
+        chosen = self.rng.permutation(samples)[: max(MIN_AUDITED, round(AUDITED_SHARE * samples))]
         return frozenset(chosen.tolist())
 
 
 def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
-    """The scans of a sample whose fields are `stored`: its own, and those before it. Raises
-    ValueError for an invalid pose."""
+    """Make the scans of a sample.
+
+    Args:
+        contract: Manifest of the dataset.
+        stored: Returns a stored field by its name.
+
+    Returns:
+        The sample's own scan, then earlier ones, latest first.
+
+    Raises:
+        ValueError: if a pose is invalid.
+    """
     names = ("ranges", "position", "quaternion")
     views: list[Any] = [[stored(name) for name in names]]
     if contract.mapping.scans > 1:
         views += zip(*(stored(f"earlier_{name}") for name in names), strict=True)
-    # a range that is no length is a fault of `laws`; here it counts as no return
+    # invalid ranges are faults of the check `laws`; here they count as no return
     return [
         Scan(np.where(ranges >= 0, ranges, np.float32(np.inf)), Pose(*pose), contract.lidar)
         for ranges, *pose in views
@@ -223,7 +241,7 @@ def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample, unpacked: all fields, or where `quick` those that are not derived from others."""
+    """One unpacked sample: all fields, or without derived ones if `quick`."""
 
     shard: Shard
     row: int
@@ -232,29 +250,28 @@ class Sample:
 
     @property
     def contract(self) -> Manifest:
-        """What the manifest promises."""
+        """Manifest of the dataset."""
         return self.shard.task.contract
 
     @property
     def where(self) -> str:
-        """How faults name this sample."""
+        """Name of the sample in faults."""
         return f"{self.shard.task.entry.file}: sample {self.row}"
 
     @property
     def world(self) -> int:
-        """Number of the world that it says it is of."""
+        """Number of its world."""
         return int(self.fields["world"])
 
     @property
     def solids(self) -> Solids | VoxelMap | None:
-        """The solids of its world, or its map; None where there is no such world, or it was not
-        compiled."""
+        """Solids, or map, of its world; None if it does not exist or was not compiled."""
         return self.shard.worlds.solids.get(self.world) if self.shard.worlds else None
 
     @property
     def audited(self) -> AnyWorld | None:
-        """The world, compiled, of one of the samples that expensive checks look at; None for the
-        others, and where `solids` are. Raises BrokenError."""
+        """Its compiled world, if expensive checks examine this sample; otherwise None. Raises
+        BrokenError."""
         worlds = self.shard.worlds
         if worlds is None or self.solids is None or self.row not in self.shard.audited:
             return None
@@ -262,25 +279,23 @@ class Sample:
 
     @cached_property
     def packed(self) -> dict[str, NDArray[np.uint8]]:
-        """The stored grids, eight voxels a byte."""
+        """Boolean grids as bits, eight voxels a byte."""
         return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
 
     @cached_property
     def content(self) -> "hashlib._Hash":
-        """The hash of its `CONTENT`; what goes on hashing takes a copy."""
+        """Hash of the fields `CONTENT`. Copy it before updating."""
         parts = (self.packed.get(name, self.fields[name]).tobytes() for name in CONTENT)
         return hashlib.sha256(b"".join(parts))
 
     @cached_property
     def scans(self) -> list[Scan]:
-        """The stored ranges and poses: its own scan, and those before it. Raises BrokenError for
-        an invalid pose."""
+        """Stored scans: its own, then earlier ones. Raises BrokenError if a pose is invalid."""
         with raised_as(BrokenError, f"{self.where}: "):
             return scans_of(self.contract, self.fields.__getitem__)
 
     @cached_property
     def seen(self) -> ObservedGrid:
-        """The map that follows from the stored ranges and poses. Raises BrokenError for an invalid
-        pose."""
+        """Map that follows from the stored scans. Raises BrokenError if a pose is invalid."""
         contract = self.contract
         return fuse(self.scans[::-1], contract.grid, self.fields["origin"], contract.mapping)

@@ -1,5 +1,4 @@
-"""Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
-lists?"""
+"""Checks of the manifest and of whole files: whether they can be read, and match the manifest."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,53 +7,59 @@ from pathlib import Path
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest, trust
+from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
+from scenegen.base.files import names_in
+from scenegen.base.reading import sha256_in, world_digest
+from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
-from scenegen.dataset.rules import stem_of
-from scenegen.dataset.trust import Entry, Manifest
-from scenegen.errors import DatasetError, printable, raised_as, short
-from scenegen.files import Json, names_in, sha256_in, world_digest
-from scenegen.recipes import find_kind
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.schema import NAME, ShardEntry, stem_of
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
-from scenegen.verification.report import BrokenError, Ledger, Page
+from scenegen.verification.report import Ledger, Page
+from scenegen.worlds.kinds import find_kind
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:
-    """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it
-    cannot be read on.
+    """Read the manifest, and record faults in the ledger's page `manifest`.
 
-    `kind` names a user's own kind whose module may be imported. Raises DatasetError where the
-    folder holds no dataset at all, or one of another kind than that.
+    Args:
+        folder: Folder of the dataset.
+        ledger: The ledger.
+        kind: A user's own kind, which may be imported.
+
+    Returns:
+        The manifest; None if it is too damaged to continue.
+
+    Raises:
+        DatasetError: if the folder holds no dataset, or one of another kind.
     """
-    given = manifest.read(folder)
+    content = manifest.read_content(folder)
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
-        with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
-            found = trust.parse(given, folder, kind)
+        with raised_as(BrokenError, f"{NAME}: ", of=BrokenError):
+            parsed = manifest.parse(content, folder, kind)
             if kind is not None:
-                if kind not in (there := sorted({home.kind for home in found.homes})):
+                if kind != parsed.kind:
                     raise DatasetError(
-                        f"--kind {kind}: the dataset's kind is {short(' or '.join(there))}; leave "
+                        f"--kind {kind}: the dataset's kind is {short(parsed.kind)}; leave "
                         "--kind out, or give that"
                     )
+                # imports the module, which the user named
                 with raised_as(DatasetError, "--kind: "):
                     find_kind(kind)
-            for home in found.homes:
-                if home.kind == "scene" and home.scenes is None:
-                    raise BrokenError("recipe.scenes = None: expected the worlds of each split")
-                # spelled out now, so that what is wrong with it is found here
-                home.recipe  # noqa: B018
-        _check_shards(found, page)
-        _check_sources(found, page)
-        contract = found
+            # computed now, so that faults in its tables are recorded here
+            parsed.recipe  # noqa: B018
+        _check_shards(parsed, page)
+        # stays None if anything above raised BrokenError
+        contract = parsed
     return contract
 
 
 def _check_shards(contract: Manifest, page: Page) -> None:
-    """Whether the shards listed are those that the counts ask for, in order, and no other lies in
-    the folder."""
-    where = manifest.NAME
+    """Check that the listed shards have the right names, order and sizes, and that the folder has
+    no others."""
+    where = NAME
     page.expect(
         contract.complete, f"{where}: complete is false: give the command that made it again"
     )
@@ -74,12 +79,10 @@ def _check_shards(contract: Manifest, page: Page) -> None:
             f"{where}: counts.{split} = {promised}, but its shards hold {total} samples",
         )
         for number, entry in enumerate(entries):
-            scenes = contract.home(entry).scenes
+            scenes = contract.scenes
             if scenes is not None and not scenes.get(split):
-                raise BrokenError(
-                    f"{where}: recipe.scenes names no world for {split}, which has samples"
-                )
-            # of an incomplete dataset, shards between may be missing
+                raise BrokenError(f"{where}: scenes names no world for {split}, which has samples")
+            # an incomplete dataset may lack shards in between
             stem = stem_of(split, number) if complete else entry.file.removesuffix(".h5")
             page.expect(
                 (entry.file, entry.worlds) == (f"{stem}.h5", f"{stem}.worlds.zip")
@@ -89,46 +92,29 @@ def _check_shards(contract: Manifest, page: Page) -> None:
             )
             _check_size(contract, entry, number == len(entries) - 1, page)
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
+    # three names are enough for one line; they are untrusted
     stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
 
 
-def _check_sources(contract: Manifest, page: Page) -> None:
-    """Whether the manifest of a dataset that has `sources` says that in which all agree, and of
-    the rest that they do not."""
-    disagreeing: Json = {"kind": "several", "engine": "several", "seed": None, "rescan": None}
-    disagreeing |= {"tables": {}, "software": {}}
-    for name, instead in disagreeing.items():
-        first, *others = (getattr(home, name) for home in contract.homes)
-        expected = first if all(other == first for other in others) else instead
-        page.expect(
-            getattr(contract, name) == expected,
-            f"{manifest.NAME}: {'recipe' if name == 'tables' else name} = "
-            f"{short(getattr(contract, name))}: expected {short(expected)}, as its sources say",
-        )
-
-
-def _check_size(contract: Manifest, entry: Entry, is_last: bool, page: Page) -> None:
-    """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
-    last of its split; and all shards but that one alike, unless they were merged or taken."""
-    where, most = manifest.NAME, contract.shard_samples
-    each = contract.home(entry).recipe.flight.viewpoints
-    if contract.sources:
-        most = max(most, each)
-    else:
-        page.expect(
-            is_last or entry.samples % each == 0,
-            f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
-        )
-        most = max(most // each, 1) * each
+def _check_size(contract: Manifest, entry: ShardEntry, is_last: bool, page: Page) -> None:
+    """Check the number of samples of a shard: whole flights, and equal for all shards except the
+    last of a split."""
+    where, viewpoints = NAME, contract.recipe.flight.viewpoints
     page.expect(
-        entry.samples <= most and (is_last or contract.sources or entry.samples == most),
-        f"{where}: {entry.file} holds {entry.samples} samples, expected {most} with "
+        is_last or entry.samples % viewpoints == 0,
+        f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
+    )
+    expected = max(contract.shard_samples // viewpoints, 1) * viewpoints
+    page.expect(
+        entry.samples <= expected and (is_last or entry.samples == expected),
+        f"{where}: {entry.file} holds {entry.samples} samples, expected {expected} with "
         f"shard_samples = {contract.shard_samples}",
     )
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:
+    # for `_rejections_add_up`
     page.kept.append(shard.rejected)
     page.expect(
         shard.file.attributes["parameters"] == shard.task.contract.fingerprint,
@@ -140,14 +126,14 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
 def _rejections_add_up(contract: Manifest, page: Page) -> None:
     if len(page.kept) < len(contract.shards):
         return  # a shard could not be read: a fault of another check
-    for what in ("worlds", "viewpoints"):
+    for subject in ("worlds", "viewpoints"):
         total: Counter[str] = Counter()
         for rejected in page.kept:
-            total.update(rejected[what])
+            total.update(rejected[subject])
+        listed = contract.rejected.get(subject, {})  # a manifest may leave it out
         page.expect(
-            dict(total) == contract.rejected[what],
-            f"{manifest.NAME}: rejected.{what} = {contract.rejected[what]}, the shards count "
-            f"{dict(total)}",
+            dict(total) == listed,
+            f"{NAME}: rejected.{subject} = {listed}, the shards count {dict(total)}",
         )
 
 
@@ -157,19 +143,19 @@ MANIFEST = Check(
     shard=_written_for_these_parameters,
     folder=_rejections_add_up,
 )
-"""`read_contract` examines the manifest itself, before all else."""
+"""`read_contract` examines the manifest itself."""
 
 
 EXAMINED = Check(name="examined", quick=True)
-"""`verify` counts, and writes the faults: it sees the processes end."""
+"""`verify` counts shards and records those whose process ended."""
 
 
 def _same_sum(signed: SignedFile, page: Page) -> None:
-    found = sha256_in(signed.file)
+    digest = sha256_in(signed.file)
     page.count(files=1)
     page.expect(
-        found == signed.sha256,
-        f"{signed.name}: SHA-256 {found[:16]}…, the manifest lists {signed.sha256[:16]}…",
+        digest == signed.sha256,
+        f"{signed.name}: SHA-256 {digest[:16]}…, the manifest lists {signed.sha256[:16]}…",
     )
 
 
@@ -177,26 +163,27 @@ CHECKSUMS = Check(name="checksums", quick=True, file=_same_sum)
 
 
 LAYOUT = Check(name="layout", quick=True)
-"""The walk over a shard writes the faults: opening the file and unpacking its samples is the
-examination."""
+"""The walk over a shard records faults when it opens the file and unpacks samples."""
 
 
 def _worlds_from_files(worlds: Worlds, page: Page) -> None:
     entry, scenes = worlds.task.entry, worlds.task.contract.scenes
+    # drawn worlds have no digests in the manifest; the check `regenerated` draws some again
     if scenes is None:
         return
     listed = scenes[entry.split]
     for number in worlds.documents:
         page.expect(
             world_digest(*worlds.source(number)).hex()
-            == (listed[number].get("sha256") if number < len(listed) else None),
-            f"{entry.worlds}: {number:06d}.xml is not the world that the manifest's "
-            f"recipe.scenes names",
+            == (listed[number].sha256 if number < len(listed) else None),
+            f"{entry.worlds}: {number:06d}.xml is not the world that the manifest's scenes names",
         )
 
 
 def _nothing_besides(worlds: Worlds, page: Page) -> None:
-    used = {name for it in worlds.documents.values() for name in referred(it, worlds.assets)}
+    used = {
+        name for document in worlds.documents.values() for name in referred(document, worlds.assets)
+    }
     stray = printable(", ".join(sorted(worlds.assets.keys() - used)[:3]))
     page.expect(not stray, f"{worlds.task.entry.worlds}: no world in it refers to {stray}")
 
@@ -208,15 +195,15 @@ def _look_at_archive(worlds: Worlds, page: Page) -> None:
 
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
     entry = shard.task.entry
-    found = np.unique(shard.file.column("world")).tolist()
+    sampled = np.unique(shard.file.column("world")).tolist()
     page.expect(
-        entry.first_world == found[0],
-        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {found[0]}",
+        entry.first_world == sampled[0],
+        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {sampled[0]}",
     )
-    there = found if shard.worlds is None else sorted(shard.worlds.documents)
+    archived = sampled if shard.worlds is None else sorted(shard.worlds.documents)
     page.expect(
-        there == found,
-        f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(found)}",
+        archived == sampled,
+        f"{entry.worlds}: holds worlds {_spans(archived)}, its samples are of {_spans(sampled)}",
     )
 
 
@@ -225,6 +212,6 @@ def _spans(numbers: Sequence[int]) -> str:
 
 
 ARCHIVES = Check(name="archives", quick=True, archive=_look_at_archive, shard=_worlds_of_samples)
-"""The walk over a shard adds the faults of an archive that cannot be read."""
+"""The walk over a shard records archives that cannot be read."""
 
 CHECKS = (MANIFEST, EXAMINED, CHECKSUMS, LAYOUT, ARCHIVES)

@@ -1,26 +1,27 @@
-"""`verify` holds a dataset folder against the contract: every shard is walked in a process of its
-own, then the whole is."""
+"""`verify`: examine every shard in its own process, then the dataset as a whole."""
 
-import os
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
+from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.hdf5 import library_index, read_index
+import msgspec
+
+from scenegen.base.errors import BrokenError, DatasetError, raised_as, told
+from scenegen.base.executors import Begun, Counted, Executor, unheard
+from scenegen.base.mirrors import fetch
+from scenegen.base.reading import size_of
+from scenegen.base.workers import Limited, Local
+from scenegen.dataset.collection import open_data
+from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
-from scenegen.dataset.trust import Manifest
-from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, raised_as, told
-from scenegen.recipe import preset
-from scenegen.run import Counted, Executor, unheard
-from scenegen.run.workers import Limited, Local
-from scenegen.sample import FIELDS
-from scenegen.source import DrawnWorlds
-from scenegen.stores.cache import fetch_all, note_of
+from scenegen.dataset.schema import NAME
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.sample import FIELDS
+from scenegen.draw.source import DrawnWorlds
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
@@ -33,11 +34,12 @@ from scenegen.verification.check import (
 from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.report import BrokenError, Ledger, Report
+from scenegen.verification.report import Ledger, Outcome, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
-from scenegen.verification.splits import MOST_TWINS
+from scenegen.verification.splits import MOST_TWINS, world_digests
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.verification.viewpoints import CHECKS as OF_VIEWPOINTS
+from scenegen.worlds.recipe import preset
 from scenegen.worlds.world import quiet_mujoco
 
 CHECKS = tuple(
@@ -46,62 +48,82 @@ CHECKS = tuple(
         key=lambda check: not check.quick,
     )
 )
-"""All checks in the order of the report: those that `--quick` makes come first."""
+"""All checks in the order of the report: those of `--quick` first."""
 
 
 def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> list[Check]:
-    """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
-    Raises ValueError for a name that leads to no check."""
-    fields = {"", *(name for home in contract.homes for name in home.fields)}
-    applying = [check for check in CHECKS if (check.quick or not quick) and check.field in fields]
+    """Select the checks of a dataset.
+
+    Args:
+        contract: Its manifest.
+        quick: Whether only quick checks are made.
+        own: The user's checks, as ``module:Object``; always made.
+
+    Raises:
+        ValueError: if there is no such check.
+    """
+    fields = {"", *contract.fields}
+    applying = [
+        check
+        for check in CHECKS
+        if (check.quick or not quick)
+        and check.field in fields
+        and (contract.parts or not check.part)
+    ]
     return [*applying, *map(OWN_CHECKS.find, own)]
 
 
 def warm_up() -> None:
-    """Run the kernels that examining a shard needs, which its processes then have: a tenth of a
-    second once they are compiled."""
+    """Run the kernels for examinations before processes are forked, which then share them: a tenth
+    of a second once they are compiled."""
     recipe = preset("pillar")
     draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
 
 
 Findings = tuple[int, Ledger]
-"""What one shard's examination leaves for the whole folder's: its position in the manifest, and
-what was found."""
+"""Result of one shard: its position in the manifest, and its ledger."""
 
 
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
-    """Make every check of one shard by itself. What is wrong with its files becomes faults in the
-    ledger, and raises nothing."""
+    """Make all checks of one shard. Damaged files become faults, not errors.
+
+    Args:
+        task: The shard.
+
+    Returns:
+        Its position in the manifest, and its ledger.
+    """
     ledger, contract, entry = Ledger(), task.contract, task.entry
     checks = chosen_checks(contract, quick=task.quick, own=task.own)
 
-    def look(stage: str, at: Any) -> None:
-        """Make every check that looks at this stage."""
+    def _make_checks(stage: str, subject: Any) -> None:
+        """Make all checks of one level."""
         for check in checks:
             if (examination := getattr(check, stage)) is not None:
                 with ledger.checking(check.name) as page:
                     try:
-                        examination(at, page)
+                        examination(subject, page)
                     except Exception as error:
+                        # an error in one of our checks is a bug, not a fault of the dataset
                         if check in CHECKS:
                             raise
                         page.fault(str(told(error)))  # the user's own code fails
 
     worlds, path = None, contract.folder / entry.worlds
+    # the archive first, as checks of samples use its worlds
     with ledger.checking(ARCHIVES.name) as page, open_file(path) as file:
         page.count(files=1)
         worlds = Worlds.read(task, file, path.name)
-        look("file", SignedFile(file, path.name, entry.worlds_sha256))
-        look("archive", worlds)
+        _make_checks("file", SignedFile(file, path.name, entry.worlds_sha256))
+        _make_checks("archive", worlds)
     path = contract.folder / entry.file
-    with ledger.checking(LAYOUT.name) as page, open_file(path) as file:
-        if os.fstat(file.fileno()).st_size <= most_bytes(contract.layout, entry.samples):
-            look("file", SignedFile(file, path.name, entry.sha256))
-        opened = open_shard(file, path, entry.samples, contract.layout)
-        # what it says of itself, other readers must find by the HDF5 library, too
-        if read_index(file, entry.samples) != library_index(file, entry.samples):
-            raise BrokenError(f"{opened.name}: its index is not what the HDF5 library finds in it")
+    with ledger.checking(LAYOUT.name) as page:
+        with open_file(path) as file:
+            # hashing a file of unlimited size could take hours
+            if size_of(file) <= most_bytes(contract.layout, entry.samples):
+                _make_checks("file", SignedFile(file, path.name, entry.sha256))
+        opened = open_shard(path, entry.samples, contract.layout)
         if opened.stray_bytes:
             raise BrokenError(
                 f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"
@@ -111,25 +133,28 @@ def examine(task: Task) -> Findings:
         )
         page.count(files=1)
         shard = Shard(task, worlds, opened, opened.rejected())
-        look("shard", shard)
+        _make_checks("shard", shard)
         stored = [name for name in contract.fields if not (task.quick and FIELDS[name]["derived"])]
         for row in range(entry.samples):
             # a sample that cannot be unpacked does not end the walk
             with ledger.checking(LAYOUT.name) as page:
                 page.count(samples=1)
+                # read-only unless expensive checks call kernels, which take writable arrays
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
-                look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))
+                _make_checks(
+                    "sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes())
+                )
     return task.number, ledger
 
 
 SECONDS, SECONDS_A_SAMPLE = 120.0, 0.5
-"""A shard whose examination takes longer than this, and as much for every sample, is given up."""
+"""Time limit of a shard's examination, seconds, and the addition for each sample."""
 MEMORY_BYTES = 6 << 30
-"""Address space that examining one shard may take beyond what the process has."""
+"""Address space of a shard's examination beyond that of the process, bytes."""
 
 
 def verify(
-    dataset: str | os.PathLike[str],
+    dataset: Any,
     *,
     quick: bool = False,
     seed: int = 0,
@@ -140,96 +165,188 @@ def verify(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> Report:
-    """Check a dataset against the format, and by checks of your own.
+    """Check a dataset against the format, and with the user's checks.
 
     Args:
-        dataset: It, its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
-        quick: Make the cheap checks alone.
-        seed: Chooses the samples that are cast and made anew.
-        kind: A user's own kind, by which worlds may be drawn again: no module is imported because a
-            manifest names it.
-        own: Checks of your own, ``module:Object``, each a `Check`.
-        workers: Processes of this machine that examine a shard each; none can take this one down.
-        execute: What has the shards examined, instead. Where others see to a part of them, what
-            compares all of them is skipped.
-        on_start: Called with the number of samples once the processes run.
-        on_done: Called with the number of samples of every shard done.
+        dataset: As for `scenegen.load`. Of a collection or selection, every dataset is checked
+            completely, and also whether they can be read together.
+        quick: Whether only quick checks are made.
+        seed: Seed of the samples that are cast and drawn again.
+        kind: A user's own kind, which may be imported to draw worlds again. No module is imported
+            because a manifest names it.
+        own: The user's checks, as ``module:Object``, each a `Check`.
+        workers: Number of processes, which examine a shard each. A crash of one is a fault.
+        execute: Executor of the examinations, instead of `workers`. If it leaves shards to other
+            processes, checks that compare all shards are skipped.
+        on_start: Called with the number of samples when the workers have started.
+        on_done: Called with the number of samples of each examined shard.
 
     Returns:
-        The report. A fault fails a check of it, whatever it is.
+        The report. Faults never raise errors.
 
     Raises:
-        DatasetError: The folder holds no dataset at all, or one of another `kind`; or a name of
-            `own` leads to no check.
-        GenerationError: `execute` lost a shard for good.
+        DatasetError: if there is no dataset, it has another `kind`, or a check of `own` does not
+            exist.
+        GenerationError: if `execute` cannot finish a shard.
     """
-    folder, execute = locate(dataset, whole=True), execute or Local("", workers)
-    ledger = Ledger()
-    contract = read_contract(folder, ledger, kind)
-    report = partial(Report, folder=str(folder), quick=quick, seed=seed)
-    if contract is None:
-        return report(samples=0, checks=(ledger[MANIFEST.name].outcome(MANIFEST.name),))
-    with raised_as(DatasetError, "--check: "):
-        checks = chosen_checks(contract, quick=quick, own=own)
-    all_tasks = _tasks(contract, quick=quick, seed=seed, own=own)
-    tasks = execute.mine(all_tasks)
-    samples = sum(task.entry.samples for task in tasks)
-    order, waiting = deque(task.number for task in tasks), dict[int, Ledger]()
-    if tasks and not quick:
-        warm_up()
-    guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
-    with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
-        for number, findings in results:
-            waiting[number] = findings
-            # in the order of shards, and no more of them kept than are early
-            while order and order[0] in waiting:
-                ledger.add(waiting.pop(order.popleft()))
-                ledger[EXAMINED.name].count(shards=1)
-            on_done(all_tasks[number].entry.samples)
-    outcomes = []
-    for check in checks:
-        with ledger.checking(check.name) as page:
-            if check.folder is not None and len(tasks) == len(all_tasks):
-                check.folder(contract, page)
-            elif check.folder is not None:
-                page.skipped = (
-                    f"compares all {len(all_tasks)} shards, and {len(tasks)} are examined here"
+    execute = execute or Local("", workers)
+    walks = [
+        _Walk(folder, quick=quick, seed=seed, kind=kind, own=own, execute=execute)
+        for folder in _folders_of(dataset)
+    ]
+    samples = sum(walk.samples for walk in walks)
+    for number, walk in enumerate(walks):
+        walk.run((lambda: on_start(samples)) if number == 0 else (lambda: None), on_done)
+    outcomes = [outcome for walk in walks for outcome in walk.outcomes]
+    if len(walks) > 1:
+        outcomes = [
+            replace(outcome, name=f"{walk.folder.name}: {outcome.name}")
+            for walk in walks
+            for outcome in walk.outcomes
+        ]
+        outcomes.append(_together(walks))
+    return Report(
+        folder=str(dataset), quick=quick, seed=seed, samples=samples, checks=tuple(outcomes)
+    )
+
+
+def _folders_of(name: Any) -> list[Path]:
+    """Folders of the datasets of a name. The manifest of a single dataset is not read here: damage
+    is a fault to report."""
+    folder = locate(name)
+    if (folder / NAME).exists():
+        return [folder]
+    return [dataset.folder for dataset in open_data(name, partial=True).datasets]
+
+
+class _Walk:
+    """Examination of one dataset."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        quick: bool,
+        seed: int,
+        kind: str | None,
+        own: Sequence[str],
+        execute: Executor,
+    ):
+        self.folder, self.ledger, self._execute = folder, Ledger(), execute
+        self._quick = quick
+        self.contract = read_contract(folder, self.ledger, kind)
+        self.outcomes: list[Outcome] = []
+        self._checks: list[Check] = []
+        self._all_tasks: list[Task] = []
+        if self.contract is not None:
+            with raised_as(DatasetError, "--check: "):
+                self._checks = chosen_checks(self.contract, quick=quick, own=own)
+            self._all_tasks = _tasks(self.contract, quick=quick, seed=seed, own=own)
+        self._tasks = execute.mine(self._all_tasks)
+        self.samples = sum(task.entry.samples for task in self._tasks)
+
+    @property
+    def sees_all(self) -> bool:
+        """Whether this process examines all shards."""
+        return len(self._tasks) == len(self._all_tasks)
+
+    def run(self, on_start: Begun, on_done: Counted) -> None:
+        """Examine all shards, then the dataset.
+
+        Args:
+            on_start: Called when the workers have started.
+            on_done: Called with the number of samples of each examined shard.
+        """
+        # nothing else can be examined
+        if self.contract is None:
+            self.outcomes.append(self.ledger[MANIFEST.name].outcome(MANIFEST.name))
+            return
+        order, early = deque(task.number for task in self._tasks), dict[int, Ledger]()
+        if self._tasks and not self._quick:
+            warm_up()
+        examination = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
+        with closing(self._execute(examination, self._tasks, on_start)) as results:
+            for number, findings in results:
+                early[number] = findings
+                # ledgers are added in the order of shards; only early ones wait in memory
+                while order and order[0] in early:
+                    self.ledger.add(early.pop(order.popleft()))
+                    self.ledger[EXAMINED.name].count(shards=1)
+                on_done(self._all_tasks[number].entry.samples)
+        for check in self._checks:
+            with self.ledger.checking(check.name) as page:
+                if check.folder is not None and self.sees_all:
+                    check.folder(self.contract, page)
+                elif check.folder is not None:
+                    page.skipped = (
+                        f"compares all {len(self._all_tasks)} shards, and {len(self._tasks)} are "
+                        f"examined here"
+                    )
+                # a check that examined nothing must not count as passed
+                if not (page.faults or page.skipped or page.counts):
+                    page.skipped = "counted nothing that it examined: see what failed"
+            self.outcomes.append(page.outcome(check.name))
+
+
+def _together(walks: Sequence[_Walk]) -> Outcome:
+    """Check that datasets that are read as one share no world between splits, and no sample."""
+    ledger, name = Ledger(), "together"
+    with ledger.checking(name) as page:
+        if not all(walk.sees_all for walk in walks):
+            page.skipped = "compares all shards, and a part of them is examined here"
+            return page.outcome(name)
+        split_of, owner = dict[bytes, str](), dict[bytes, str]()
+        for walk in walks:
+            if walk.contract is None:
+                continue
+            page.count(datasets=1)
+            for split, digest in world_digests(walk.contract, walk.ledger["splits"]):
+                location = f"{walk.folder.name}, {split}"
+                first_split = split_of.setdefault(digest, split)
+                first_owner = owner.setdefault(digest, location)
+                page.expect(
+                    first_split == split,
+                    f"{location}: a world has the same solids as one of {first_owner}; no world "
+                    "may be in two splits",
                 )
-            if not (page.faults or page.skipped or page.counts):
-                page.skipped = "counted nothing that it examined: see what failed"
-        outcomes.append(page.outcome(check.name))
-    return report(samples=samples, checks=tuple(outcomes))
+            digests = b"".join(walk.ledger["digest"].kept)
+            page.count(samples=len(digests) // 32, shards=len(walk.contract.shards))
+            for n in range(0, len(digests), 32):
+                # prefixed, as worlds and samples share one table
+                key = b"sample" + digests[n : n + 32]
+                first_owner = owner.setdefault(key, walk.folder.name)
+                page.expect(
+                    first_owner == walk.folder.name,
+                    f"{walk.folder.name}: holds a sample of {first_owner}; leave one of the two "
+                    "out",
+                )
+    return page.outcome(name)
 
 
 class _Examination(Limited):
-    """Copies on another machine what a task reads of a store, before limits are set: that a store
-    is slow or refuses is no fault of the dataset."""
+    """Fetches the task's files from a store before limits apply: a slow store is no fault of the
+    dataset."""
 
     def __call__(self, task: Task) -> Findings:
-        contract, entry = task.contract, task.entry
-        if note_of(contract.folder) is not None:
-            fetch_all(
-                contract.folder,
-                [entry.file, entry.worlds, *contract.rays.values()],
-            )
+        for name in (task.entry.file, task.entry.worlds):
+            fetch(task.contract.folder / name)
         return super().__call__(task)
 
 
 def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) -> list[Task]:
-    """One a shard; none carries the list of all shards, which would make their sum grow as its
-    square."""
-    homes = [replace(home, shards=()) for home in contract.homes]
-    for home in homes:
-        home.recipe, home.fingerprint  # noqa: B018 (worked out once, and carried along)
-    every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
+    """Tasks of all shards. The list of shards is left out of their manifests: pickling it with each
+    task would take quadratic time."""
+    bare = msgspec.structs.replace(contract, shards=())
+    # rounded up, so that no more than MOST_TWINS are compared
+    twins_of = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
     return [
         Task(
-            contract=homes[entry.source],
+            contract=bare,
             entry=entry,
             number=number,
             quick=quick,
             seed=seed,
-            twins_of=every,
+            twins_of=twins_of,
             own=tuple(own),
         )
         for number, entry in enumerate(contract.shards)
@@ -241,7 +358,7 @@ def _seconds(task: Task) -> float:
 
 
 def _given_up(task: Task, reason: str) -> Findings:
-    """What is left of a shard whose process was ended."""
+    """Findings of a shard whose process was ended."""
     ledger = Ledger()
     fault = f"{task.entry.file} or {task.entry.worlds}: examining it {reason}"
     ledger[EXAMINED.name].fault(fault)

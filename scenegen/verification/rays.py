@@ -1,4 +1,4 @@
-"""A second opinion on stored ranges: rays cast anew by another engine, and how far noise may move
+"""Independent check of stored ranges: rays cast again by another engine, and bounds of noisy
 returns."""
 
 import itertools
@@ -14,7 +14,14 @@ from lidarsim.engines.voxels import LEAST_CHORD_M, OCCUPIED, VoxelMap
 from lidarsim.grid import Field, Floats, Ints, Mask
 
 SLACK_M = 2e-6
-"""What float32 ranges and the slack of `occupancy` add to a bound."""
+"""Addition to bounds for float32 ranges and for the tolerance of `occupancy`, metres."""
+MAX_CROSSINGS = 200_000
+"""Maximum number of crossings along one axis that are computed at once."""
+TOLERANCE_M = 1e-6
+"""Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
+MAX_PAIRS = 2_000_000_000
+"""Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
+"""
 
 
 def count_strays(
@@ -24,91 +31,112 @@ def count_strays(
     origin: Floats,
     bound_m: float,
 ) -> int:
-    """How many of the returns `points` (M, 3), in the world, lie in the map and farther than
-    `bound_m` from every occupied voxel, and from the map's faces, beyond which a solid may be."""
-    inside, most, voxel = points - origin, bound_m + SLACK_M, grid.voxel_m
+    """Count returns that are too far from all occupied voxels. Returns near the map's faces are
+    ignored: a solid may be outside.
+
+    Args:
+        points: Returns (M, 3) in the world's frame, metres.
+        occupancy: Occupied voxels of the map.
+        grid: The grid.
+        origin: Lower corner of the map in the world's frame, metres.
+        bound_m: Allowed distance.
+    """
+    inside, max_m, voxel = points - origin, bound_m + SLACK_M, grid.voxel_m
     extent = np.array(grid.shape) * voxel
-    left = inside[((inside >= most) & (inside <= extent - most)).all(axis=1)]
+    remaining = inside[((inside >= max_m) & (inside <= extent - max_m)).all(axis=1)]
     shape = np.array(grid.shape)
-    shells = range(math.ceil(min(most / voxel, max(grid.shape))) + 1)
-    for offset in itertools.chain.from_iterable(
-        map(_shell, shells)
-    ):  # nearest first: few points are left soon
-        if not len(left):
+    shells = range(math.ceil(min(max_m / voxel, max(grid.shape))) + 1)
+    # nearest voxels first: after a few, hardly any points remain
+    for offset in itertools.chain.from_iterable(map(_shell, shells)):
+        if not len(remaining):
             break
-        cells = np.floor(left / voxel).astype(np.int64) + offset
-        known = ((cells >= 0) & (cells < shape)).all(axis=1)
-        gaps = np.maximum(np.maximum(cells * voxel - left, left - (cells + 1) * voxel), 0.0)
-        near = known & ((gaps**2).sum(axis=1) <= most * most)
+        cells = np.floor(remaining / voxel).astype(np.int64) + offset
+        in_map = ((cells >= 0) & (cells < shape)).all(axis=1)
+        gaps = np.maximum(
+            np.maximum(cells * voxel - remaining, remaining - (cells + 1) * voxel), 0.0
+        )
+        near = in_map & ((gaps**2).sum(axis=1) <= max_m * max_m)
+        # only cells inside the map are looked up
         near[near] = occupancy[tuple(cells[near].T)]
-        left = left[~near]
-    return len(left)
+        remaining = remaining[~near]
+    return len(remaining)
 
 
 def _shell(reach: int) -> Ints:
-    """The cells (n, 3) whose greatest coordinate is `reach`, whatever its sign."""
+    """Cell offsets (n, 3) with maximum norm `reach`."""
     cells = np.indices((2 * reach + 1,) * 3).reshape(3, -1).T - reach
     return np.asarray(cells[np.abs(cells).max(axis=1) == reach])
 
 
 class MapAuditor:
-    """Casts rays through a map of voxels in another way than `lidarsim.engines.voxels`: where a ray
-    crosses planes between voxels is computed for all of them at once and sorted; the middle between
-    two crossings tells the voxel."""
+    """Casts rays through a voxel map with another algorithm than `lidarsim.engines.voxels`: all
+    crossings of a ray with planes between voxels are computed and sorted. The midpoint of two
+    crossings determines the voxel."""
 
     def __init__(self, voxels: VoxelMap):
         self._voxels = voxels
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `lidarsim.engines.Caster.cast`."""
+        """Cast rays; see `lidarsim.engines.Caster.cast`.
+
+        Returns:
+            Ranges in metres; inf for no hit.
+        """
         pairs = zip(np.asarray(origins), np.asarray(directions), strict=True)
         return np.stack([self._from(start, rays, max_range_m) for start, rays in pairs])
 
     def _from(self, start: Floats, rays: Floats, max_range_m: float) -> Floats:
         states, voxel_m = self._voxels.states, self._voxels.voxel_m
         begin = (start - self._voxels.origin) / voxel_m
-        reach, above = math.ceil(max_range_m / voxel_m) + 2, begin % 1
-        found = np.full(len(rays), np.inf)
-        several = max(MOST_CROSSINGS // reach, 1)
-        for first in range(0, len(rays), several):
-            some = rays[first : first + several] / voxel_m  # voxels a metre
-            planes = np.where(some > 0, -above, above - 1)[..., None] + np.arange(reach)
+        reach, fraction = math.ceil(max_range_m / voxel_m) + 2, begin % 1
+        ranges = np.full(len(rays), np.inf)
+        # bounds the memory of a batch
+        batch = max(MAX_CROSSINGS // reach, 1)
+        for first in range(0, len(rays), batch):
+            batch_rays = rays[first : first + batch] / voxel_m  # voxels a metre
+            # the first plane ahead depends on the ray's sign along the axis; then one plane a voxel
+            planes = np.where(batch_rays > 0, -fraction, fraction - 1)[..., None] + np.arange(reach)
             with np.errstate(divide="ignore", invalid="ignore"):
-                ends = (planes / np.abs(some)[..., None]).reshape(len(some), -1)
-            # one behind the sensor, and those along which a ray runs, are no crossings
-            stops = np.sort(np.clip(np.nan_to_num(ends), 0, 2 * reach * voxel_m))
-            middle, way = (stops[:, 1:] + stops[:, :-1]) / 2, np.diff(stops)
-            cells = np.floor(begin + middle[..., None] * some[:, None]).astype(np.int64)
-            there: Any = ((cells >= 0) & (cells < states.shape)).all(axis=2)
-            there[there] = states[tuple(cells[there].T)] == OCCUPIED
-            there &= (way >= LEAST_CHORD_M) & (middle <= max_range_m)
-            met = there.any(axis=1)
-            found[first : first + several][met] = middle[met, there[met].argmax(axis=1)]
-        return found
-
-
-MOST_CROSSINGS = 200_000
-"""Crossings along one axis that are computed at once."""
-TOLERANCE_M = 1e-6
-"""How far a stored range may be from ours, and one part in 2^23 of it besides, which is what
-float32 keeps."""
-MOST_PAIRS = 2_000_000_000
-"""Rays times solids that are tried for one sample; of more, a random part of the rays is
-audited."""
+                crossings = (planes / np.abs(batch_rays)[..., None]).reshape(len(batch_rays), -1)
+            # crossings behind the sensor, and planes parallel to a ray, are clipped away
+            sorted_crossings = np.sort(np.clip(np.nan_to_num(crossings), 0, 2 * reach * voxel_m))
+            middle, chords = (
+                (sorted_crossings[:, 1:] + sorted_crossings[:, :-1]) / 2,
+                np.diff(sorted_crossings),
+            )
+            cells = np.floor(begin + middle[..., None] * batch_rays[:, None]).astype(np.int64)
+            hits: Any = ((cells >= 0) & (cells < states.shape)).all(axis=2)
+            # space outside the map is free
+            hits[hits] = states[tuple(cells[hits].T)] == OCCUPIED
+            # a shorter chord only touches a voxel's edge, which the engine ignores, too
+            hits &= (chords >= LEAST_CHORD_M) & (middle <= max_range_m)
+            has_hit = hits.any(axis=1)
+            ranges[first : first + batch][has_hit] = middle[has_hit, hits[has_hit].argmax(axis=1)]
+        return ranges
 
 
 def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
-    """Unit vectors (*lidar.shape, 3) in the world, those of a raster written from docs/sensor.md
-    and not from `lidarsim`. A table of rays is as it was given: from it there is nothing to
-    derive."""
+    """Directions of a sensor's rays in the world.
+
+    Those of a raster are computed from docs/sensor.md, independently of `lidarsim`. A table of rays
+    is taken as it is.
+
+    Args:
+        lidar: The sensor.
+        quaternion: Attitude of the body, w x y z.
+
+    Returns:
+        Unit vectors (*lidar.shape, 3).
+    """
     body = _raster(lidar) if isinstance(lidar, Lidar) else lidar.directions_body
     w, u = quaternion[0], quaternion[1:]
+    # rotation by a unit quaternion (w, u): v + 2w (u x v) + 2u x (u x v)
     twice = 2.0 * np.cross(u, body)
     return np.asarray(body + w * twice + np.cross(u, twice))
 
 
 def _raster(lidar: Lidar) -> Floats:
-    """Unit vectors (rows, columns, 3) in the body frame."""
+    """Unit vectors (rows, columns, 3) in the body's frame."""
     rows = _angles(lidar.rows, lidar.vertical_fov_deg, full_turn=False)[:, None]
     a = _angles(
         lidar.columns, lidar.horizontal_fov_deg, full_turn=lidar.horizontal_fov_deg == 360.0
@@ -124,8 +152,8 @@ def _raster(lidar: Lidar) -> Floats:
 
 
 def _angles(count: int, fov_deg: float, *, full_turn: bool) -> Floats:
-    """Angles in radians, from minus half the field of view to plus half of it; a full turn leaves
-    its end out."""
+    """Angles over the field of view, centred, radians. A full turn omits its end, which equals its
+    start."""
     if count == 1:
         return np.zeros(1)
     return np.radians(
@@ -143,22 +171,41 @@ def audit(
     solids: int,
     rng: np.random.Generator,
 ) -> tuple[Ints, Floats, Floats]:
-    """Cast the rays of one sample anew by `engine`, whose world has so many `solids`.
+    """Cast the rays of a sample again.
 
-    Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far
-    the stored ones are from them, (n,) metres, where no return counts as one from the end of the
-    range.
+    Args:
+        ranges: Stored ranges, metres.
+        position: Position of the sensor in the world, metres.
+        quaternion: Attitude of the body, w x y z.
+        engine: Engine of the sample's world.
+        lidar: The sensor.
+        solids: Number of solids of the world, which limits the number of rays.
+        rng: Chooses the rays if not all are cast.
+
+    Returns:
+        Ray numbers in C order (n,); new ranges (n,), metres, inf for no hit; their distances from
+            the stored ranges (n,), metres, where no return counts as the maximum range.
     """
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
-    most = max(MOST_PAIRS // max(solids, 1), 100)
-    if len(chosen) > most:
-        chosen = np.sort(rng.choice(chosen, most, replace=False))
-    found = engine.cast(position[None], directions[None, chosen], lidar.max_range_m)[0]
+    max_rays = max(MAX_PAIRS // max(solids, 1), 100)
+    if len(chosen) > max_rays:
+        chosen = np.sort(rng.choice(chosen, max_rays, replace=False))
+    cast_ranges = engine.cast(position[None], directions[None, chosen], lidar.max_range_m)[0]
     stored = np.minimum(ranges.reshape(-1)[chosen].astype(np.float64), lidar.max_range_m)
-    return chosen, found, np.abs(stored - np.minimum(found, lidar.max_range_m))
+    return chosen, cast_ranges, np.abs(stored - np.minimum(cast_ranges, lidar.max_range_m))
 
 
 def disagrees(gap: Floats, found: Floats, max_range_m: float) -> Mask:
-    """Where the difference of two ranges is more than rounding makes, or is no number."""
+    """Where ranges differ by more than rounding.
+
+    Args:
+        gap: Differences, metres.
+        found: Ranges of the audit, metres.
+        max_range_m: Range of the sensor, metres.
+
+    Returns:
+        Mask; True also for NaN.
+    """
+    # negated, so that NaN counts as a difference
     return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)

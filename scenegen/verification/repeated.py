@@ -1,5 +1,4 @@
-"""Checks that repeat, of a random part of the samples, what made them: the scan, and the whole way
-from the seed."""
+"""Checks that repeat randomly chosen samples: their scans, and everything from the seed on."""
 
 import math
 from dataclasses import dataclass
@@ -12,52 +11,59 @@ from lidarsim import Scan
 from lidarsim.engines import ENGINES
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
-from scenegen.dataset.manifest import differences
-from scenegen.dataset.rescan import scan_again
-from scenegen.dataset.trust import Manifest
-from scenegen.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
-from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
-from scenegen.recipe import Recipe
-from scenegen.run.software import software
-from scenegen.sample import FIELDS, rng_of
-from scenegen.source import DrawnWorlds, SceneWorlds
+from scenegen.base.errors import BrokenError, GenerationError, RecipeError, SceneError, raised_as
+from scenegen.base.executors import software
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.like import scan_again
+from scenegen.dataset.parameters import differences
+from scenegen.draw.draw import draw_unit, scans_from, with_noise
+from scenegen.draw.sample import FIELDS, rng_of
+from scenegen.draw.source import DrawnWorlds, SceneWorlds
+from scenegen.draw.unit import Unit, UnitKey
 from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.verification.rays import audit, disagrees
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
+from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArchivedWorlds(SceneWorlds):
-    """Worlds from MJCF files, as they lie in a shard's archive; `scenes` only counts them."""
+    """Worlds from files, read from a shard's archive; `scenes` only counts them."""
 
     worlds: Worlds
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
-        """See `Source.world`."""
+        """Read a world; see `Source.world`.
+
+        Returns:
+            The world.
+        """
         return self.worlds.world(number)
 
 
 Views = list[tuple[int, int]]
-"""Samples of one flight: the row of each in its shard, and its number on the flight."""
+"""Samples of one flight: row in the shard, and position on the flight."""
 
 
 def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
-    """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
-    one that was scanned again, scanned so from the poses of the samples that are there, (row,
-    view). Raises BrokenError where nothing comes of it."""
+    """Draw a flight again; or, if the dataset was scanned again from another one, scan it from its
+    stored poses.
+
+    Call it only if `why_not_made` is empty. Raises BrokenError if it fails.
+    """
     contract, split, worlds = shard.task.contract, shard.task.entry.split, shard.worlds
     assert worlds is not None
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
-    failed = (GenerationError, RecipeError, SceneError)
-    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
-        if contract.rescan is not None:
+    errors = (GenerationError, RecipeError, SceneError)
+    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=errors):
+        if contract.like is not None:
             with raised_as(BrokenError, f"{shard.task.entry.file}: "):
                 stored = (partial(shard.file.value, row=row) for row, _ in views)
-                poses = [[scan.pose for scan in scans_of(contract, one)] for one in stored]
+                poses = [[scan.pose for scan in scans_of(contract, fields)] for fields in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
             world = worlds.world(names[0])
             return scan_again(world, poses, recipe, key, names=names, engine=engine)
@@ -68,8 +74,8 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
 
 
 def why_not_made(contract: Manifest) -> str:
-    """Why flights cannot be made again here; empty where they can."""
-    if not contract.drawn and contract.scenes is None and contract.rescan is None:
+    """Why flights cannot be made again here; "" if they can."""
+    if not contract.is_drawn and contract.scenes is None and contract.like is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
         return (
             f"kind {contract.kind!r} is none of scenegen's own: its worlds cannot be drawn again"
@@ -79,7 +85,7 @@ def why_not_made(contract: Manifest) -> str:
 
 
 def why_not_scanned(contract: Manifest) -> str:
-    """Why archived worlds cannot be scanned again here; empty where they can."""
+    """Why archived worlds cannot be scanned again here; "" if they can."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.builtin:
@@ -92,15 +98,15 @@ def why_not_scanned(contract: Manifest) -> str:
 
 
 def why_other(contract: Manifest) -> str:
-    """Why what is made again here need not have the dataset's bits; empty where it must."""
+    """Why repeated samples may differ in bits from the dataset; "" if they must be equal."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
-    if contract.noise is not None and (drawn := contract.noise["version"]) != VERSION:
-        return f"made with noise of version {drawn}, here is version {VERSION}"
+    if contract.noise is not None and (noise_version := contract.noise.version) != VERSION:
+        return f"made with noise of version {noise_version}, here is version {VERSION}"
     differing = differences(dict(contract.software), software(), ("there", "here"))
-    there, here = contract.tables.get("version", 0), contract.recipe.version
-    if contract.drawn and there != here:
-        differing.append(f"recipe.version is {there} there, {here} here")
+    stored_version, version = contract.tables.version, contract.recipe.version
+    if contract.is_drawn and stored_version != version:
+        differing.append(f"recipe.version is {stored_version} there, {version} here")
     return f"made with other software: {', '.join(differing)}" if differing else ""
 
 
@@ -112,6 +118,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         if why := why_not_scanned(sample.contract):
             page.skipped = f"the noise cannot be made again, {why}"
             return
+        # noise hides the clean ranges: make them again, and audit these
         scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
@@ -128,34 +135,37 @@ def _cast_again(sample: Sample, page: Page) -> None:
         page.count(rays=len(rays))
         page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
         if wrong.any():
+            # the worst ray is reported
             n = int(np.flatnonzero(wrong)[np.argmax(gap[wrong])])
             ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
-            which = f", earlier scan {number}" if number else ""
+            scan_name = f", earlier scan {number}" if number else ""
             page.fault(
-                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray "
-                f"{ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
+                f"{sample.where}{scan_name}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; "
+                f"ray {ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
                 f"{ranges_again[n]:.7g} m away"
             )
 
 
 def _effort(world: AnyWorld, max_range_m: float) -> int:
-    """How many solids an auditor tries for a ray, or as many as take its time."""
+    """Number of solids that the auditor tries for a ray; for a map, a number that takes the same
+    time."""
     if isinstance(world, Place):
         return math.ceil(300 * max_range_m / world.voxels.voxel_m)
     return len(world.solids.shape) + len(world.solids.triangles)
 
 
 def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
-    """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
-    stored ones, where the same software made these. Raises BrokenError."""
+    """Clean scans of a noisy sample by the dataset's own engine. With noise added, they must equal
+    the stored scans if the software is the same. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
-    unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
-    failed = (GenerationError, ValueError)
-    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=failed):
+    unit, view = divmod(sample.shard.first_place + sample.row, contract.recipe.flight.viewpoints)
+    errors = (GenerationError, ValueError)
+    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=errors):
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         key = UnitKey(contract.seed, task.entry.split, unit)
         seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
+    # compared by bits, so that inf equals inf and NaN itself
     wrong = sum(
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
         for again, stored in zip(seen, sample.scans, strict=True)
@@ -178,37 +188,28 @@ def _fly_again(shard: Shard, page: Page) -> None:
     rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)
-        if not flights:
-            page.skipped = "no flight of the samples that were taken is whole from its beginning"
-            return
+        # one flight for each shard, as drawing takes as long as it did at first
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
+    # with other software, differences prove nothing
     if page.faults and (why := why_other(task.contract)):
         page.faults, page.told = 0, []
         page.differ(why, flights=1)
 
 
 def _flights(shard: Shard) -> list[tuple[int, Views]]:
-    """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
-    again, those alone of which it has the first views in a row, for the noise of a view depends on
-    its number. Raises BrokenError."""
+    """Units with samples in the shard, and (row, view) of each sample. Raises BrokenError."""
     task = shard.task
-    found: dict[int, Views] = {}
-    for row, place in enumerate(shard.places):
-        unit, view = divmod(place, task.contract.recipe.flight.viewpoints)
-        found.setdefault(unit, []).append((row, view))
-    again = task.contract.rescan is not None
-    return [
-        (unit, views)
-        for unit, views in found.items()
-        if not again or all(view == n for n, (_, view) in enumerate(views))
-    ]
+    by_unit: dict[int, Views] = {}
+    for row in range(task.entry.samples):
+        unit, view = divmod(shard.first_place + row, task.contract.recipe.flight.viewpoints)
+        by_unit.setdefault(unit, []).append((row, view))
+    return list(by_unit.items())
 
 
 def _compare_flight(shard: Shard, unit: int, views: Views, page: Page) -> None:
-    """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
-    bit for bit."""
+    """Make a unit again, and compare its world and samples, (row, view), bit for bit."""
     task = shard.task
     assert shard.worlds is not None
     again = _flown_again(shard, unit, views)

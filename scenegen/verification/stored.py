@@ -1,4 +1,4 @@
-"""Checks of what is stored in each sample, and of what follows from it, computed anew and compared
+"""Checks of stored fields: laws that they satisfy, and derived fields computed again and compared
 bit for bit."""
 
 import hashlib
@@ -11,44 +11,45 @@ from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
-from scenegen import SPLITS
-from scenegen.dataset import manifest
-from scenegen.dataset.trust import Manifest
-from scenegen.errors import BrokenError, raised_as
-from scenegen.files import sha256_of
-from scenegen.sample import GROUPS
+from scenegen.base.errors import BrokenError, raised_as
+from scenegen.base.reading import sha256_of
+from scenegen.dataset.contract import Manifest
+from scenegen.dataset.schema import NAME
+from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
 from scenegen.verification.check import Check, Sample
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import Page
-from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 
 EARLIER = ("earlier_ranges", "earlier_position", "earlier_quaternion")
-"""What the digest of one of several scans covers besides, after the digest without."""
+"""Fields that extend the digest of a sample with several scans."""
 LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
-"""What the digest of one with labels covers besides, after the digest without them."""
+"""Fields that extend the digest of a labelled sample."""
+NORMALS = ("return_normal",)
+"""Fields that extend the digest of a sample with normals."""
 KNOWN = ("known", "ray_known")
-"""What the digest of one of a map covers besides, after the digest without them."""
+"""Fields that extend the digest of a sample in a map of a real place."""
 LEAN = 1e-9
-"""What rounding may add to a body's lean, as a cosine."""
+"""Tolerance of the cosine of a body's tilt."""
 
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    whole = sample.content.copy()
+    content_hash = sample.content.copy()
     for name in ("world", "viewpoint"):
-        whole.update(sample.fields[name].tobytes())
-    digest = whole.digest()
-    for names in (EARLIER, LABELLED, KNOWN):
+        content_hash.update(sample.fields[name].tobytes())
+    digest = content_hash.digest()
+    # each group extends the digest of the groups before it
+    for names in (EARLIER, LABELLED, NORMALS, KNOWN):
         if names[0] in sample.fields:
             digest = hashlib.sha256(
                 digest + b"".join(sample.fields[name].tobytes() for name in names)
             ).digest()
     if not page.kept:  # once a shard: there may be millions of samples
-        page.kept.append((sample.shard.places, bytearray()))
-    page.kept[0][1].extend(digest)
+        page.kept.append(bytearray())
+    page.kept[0].extend(digest)
     page.expect(
         digest == sample.own_digest,
         f"{sample.where}: its content does not have the digest stored beside it",
@@ -56,66 +57,21 @@ def _own_digest(sample: Sample, page: Page) -> None:
 
 
 def _whole_digest(contract: Manifest, page: Page) -> None:
-    found = sha256_of(b"".join(digests for _, digests in page.kept))
+    digest = sha256_of(b"".join(page.kept))
     page.expect(
-        contract.digest in (None, found),
-        f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {found[:16]}…",
+        contract.digest in (None, digest),
+        f"{NAME}: digest {str(contract.digest)[:16]}…, the samples' is {digest[:16]}…",
     )
-    if len(page.kept) == len(
-        contract.shards
-    ):  # else one could not be read: a fault of another check
-        for number, source in enumerate(contract.sources):
-            _digest_of_source(contract, page, number, source)
-
-
-def _digest_of_source(contract: Manifest, page: Page, number: int, source: Manifest) -> None:
-    """Hold the digest that the manifest names for a source against its samples', if all are
-    there."""
-    total, whole = hashlib.sha256(), True
-    for split in SPLITS:
-        kept = [
-            one
-            for one, entry in zip(page.kept, contract.shards, strict=True)
-            if (entry.split, entry.source) == (split, number)
-        ]
-        places = np.concatenate([np.empty(0, np.int64), *(np.array(places) for places, _ in kept)])
-        digests = np.frombuffer(b"".join(own for _, own in kept), np.uint8).reshape(-1, 32)
-        if len(digests) != len(places):
-            return  # a sample could not be read
-        order = np.argsort(places)
-        total.update(digests[order].tobytes())
-        whole &= np.array_equal(places[order], np.arange(source.counts[split]))
-        twice = len(places) - len(np.unique(places))
-        page.expect(
-            not twice,
-            f"{manifest.NAME}: {twice} samples of sources.{number}, {split}, are there twice",
-        )
-    if whole:
-        page.count(sources=1)
-        page.expect(
-            source.digest in (None, total.hexdigest()),
-            f"{manifest.NAME}: sources.{number}.digest {str(source.digest)[:16]}…, its samples' is "
-            f"{total.hexdigest()[:16]}…",
-        )
-    else:
-        why = "only a part of their samples is there"
-        page.counts[f"sources whose digest cannot be checked, for {why}"] += 1
 
 
 def _numbered(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    entry, found = sample.shard.task.entry, (sample.world, int(sample.fields["viewpoint"]))
-    places, row = sample.shard.places, sample.row
-    expected = sample.contract.numbering(entry.split).name(places[row])
+    entry, name = sample.shard.task.entry, (sample.world, int(sample.fields["viewpoint"]))
+    place = sample.shard.first_place + sample.row
+    expected = sample.contract.numbering(entry.split).name(place)
     page.expect(
-        found == expected,
-        f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}",
-    )
-    least = places[row - 1] + 1 if row else entry.start
-    page.expect(
-        least <= places[row] < entry.stop,
-        f"{sample.where}: stood at {places[row]} in its split, expected {least} to "
-        f"{entry.stop - 1}",
+        name == expected,
+        f"{sample.where}: is world {name[0]}, viewpoint {name[1]}, expected {expected}",
     )
 
 
@@ -129,42 +85,50 @@ def _centred(sample: Sample, page: Page) -> None:
         page.expect(
             abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1"
         )
-    if mapping.tilt_mps or sample.contract.rescan is None:  # which keeps the poses that are there
-        most_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
+    # a dataset like another one keeps poses that its own mapping need not allow
+    if mapping.tilt_mps or sample.contract.like is None:
+        max_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
+        # cosine of the tilt: z component of the body's z axis in the world
         upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
-        most = f"mapping.most_tilt_deg = {most_deg:g}" if most_deg else "0 degrees, without a tilt"
-        lawful = bool((upright >= math.cos(math.radians(most_deg)) - LEAN).all())
-        page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
+        limit = f"mapping.most_tilt_deg = {max_deg:g}" if max_deg else "0 degrees, without a tilt"
+        is_upright = bool((upright >= math.cos(math.radians(max_deg)) - LEAN).all())
+        page.expect(is_upright, f"{sample.where}: a body leans by more than {limit}")
     with raised_as(BrokenError, f"{sample.where}: "):
-        # the sensor's own place is enough where the map is about it
-        here = (
+        # a centred map depends on the position only, which is valid even if the attitude is not
+        expected = (
             grid.origin_at(fields["position"])
             if mapping.centred
             else mapping.origin(grid, sample.scans[0].pose)
         )
-    off = float(np.abs(fields["origin"] - here).max())
-    place = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
+    offset_m = float(np.abs(fields["origin"] - expected).max())
+    reference = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
     page.expect(
-        off == 0.0, f"{sample.where}: origin is {off:.3g} m from {place} less half the grid"
+        offset_m == 0.0,
+        f"{sample.where}: origin is {offset_m:.3g} m from {reference} less half the grid",
     )
 
 
 def _lawful(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    most, wrong = sample.contract.lidar.max_range_m, 0
+    max_range_m, invalid = sample.contract.lidar.max_range_m, 0
     for name in ("ranges", "earlier_ranges"):
         ranges = sample.fields.get(name, np.empty(0, np.float32))
-        wrong += int((~(ranges >= 0) | ((ranges > most) & np.isfinite(ranges))).sum())
-    page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
+        # negated, so that NaN counts as invalid
+        invalid += int((~(ranges >= 0) | ((ranges > max_range_m) & np.isfinite(ranges))).sum())
+    page.expect(
+        not invalid, f"{sample.where}: {invalid} ranges are not from 0 to {max_range_m:g} m, or inf"
+    )
     if "known" in sample.fields:
         unknown = np.count_nonzero(sample.fields["occupancy"] & ~sample.fields["known"])
         page.expect(not unknown, f"{sample.where}: {unknown} voxels are occupied and not known")
     noise = sample.contract.noise
     if noise is None:
+        # without noise, every return lies on a solid
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
         page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
-    elif noise["bound_m"] is not None:
-        fields, grid, bound = sample.fields, sample.contract.grid, noise["bound_m"]
+    # unbounded noise may put returns anywhere
+    elif noise.bound_m is not None:
+        fields, grid, bound = sample.fields, sample.contract.grid, noise.bound_m
         points = np.concatenate([scan.points() for scan in sample.scans])
         stray = count_strays(points, fields["occupancy"], grid, fields["origin"], bound)
         page.expect(
@@ -172,55 +136,49 @@ def _lawful(sample: Sample, page: Page) -> None:
             f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied",
         )
     if "free" in sample.fields:
-        both = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
-        page.expect(not both, f"{sample.where}: {both} voxels are both free and observed")
-
-
-def _labelled(sample: Sample, page: Page) -> None:
-    page.count(samples=1)
-    assert sample.contract.labels is not None
-    occupied, returned = sample.fields["occupancy"], np.isfinite(sample.fields["ranges"])
-    clean = sample.contract.noise is None and sample.contract.engine == DEFAULT
-    for what, known, exact, odd in (
-        ("voxel", occupied, True, "voxels have a geom and are not occupied"),
-        # noise may tell of a return where the ray itself met nothing
-        ("return", returned, clean, "rays have a geom and no return"),
-    ):
-        geoms, classes = sample.fields[f"{what}_geom"], sample.fields[f"{what}_class"]
-        wrong = np.count_nonzero((geoms >= 0) > known)
-        wrong += np.count_nonzero((geoms < 0) & known) if exact else 0
-        page.expect(not wrong, f"{sample.where}: {wrong} {odd}, or the reverse")
-        wrong = np.count_nonzero((classes > 0) != (geoms >= 0)) + np.count_nonzero(
-            classes >= len(sample.contract.labels["classes"])
-        )
+        contradictions = np.count_nonzero(sample.fields["free"] & sample.fields["observed"])
         page.expect(
-            not wrong, f"{sample.where}: {wrong} values of {what}_class are no class of a geom"
+            not contradictions,
+            f"{sample.where}: {contradictions} voxels are both free and observed",
         )
 
 
-def _same(sample: Sample, name: str, again: NDArray[Any], source: str, page: Page) -> None:
-    """Hold a stored field against what follows `again` from its `source`."""
-    stored, bits = sample.fields[name], f"u{again.itemsize}"
-    if np.array_equal(stored.view(bits), again.view(bits)):
+def _part_laws(sample: Sample, page: Page) -> None:
+    contract = sample.contract
+    # other engines may differ where rays graze an edge
+    exact = contract.noise is None and contract.engine == DEFAULT
+    for name, settings in contract.parts.items():
+        page.count(samples=1)
+        for line in PARTS[name].broken_laws(sample.fields, settings, exact=exact):
+            page.fault(f"{sample.where}: {line}")
+
+
+def _expect_equal(
+    sample: Sample, name: str, expected: NDArray[Any], source: str, page: Page
+) -> None:
+    """Compare a stored field bit for bit with one that was computed again from `source`."""
+    # compared by bits, so that NaN equals itself and -0.0 differs from 0.0
+    stored, bits = sample.fields[name], f"u{expected.itemsize}"
+    if np.array_equal(stored.view(bits), expected.view(bits)):
         return
-    differing = np.argwhere(stored.view(bits) != again.view(bits))
+    differing = np.argwhere(stored.view(bits) != expected.view(bits))
     first = tuple(int(n) for n in differing[0]) if len(differing) else ()
-    here = f", at {first} {stored[first]} is stored, {again[first]} expected" if first else ""
+    example = f", at {first} {stored[first]} is stored, {expected[first]} expected" if first else ""
     page.fault(
         f"{sample.where}: {name} is not what follows from {source}: {len(differing)} voxels "
-        f"differ{here}"
+        f"differ{example}"
     )
 
 
 def _tudf(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     again = distance_field(sample.fields["occupancy"], sample.contract.grid)
-    _same(sample, "tudf", again, "occupancy", page)
+    _expect_equal(sample, "tudf", again, "occupancy", page)
 
 
 def _seen(name: str, sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    _same(sample, name, getattr(sample.seen, name), "ranges", page)
+    _expect_equal(sample, name, getattr(sample.seen, name), "ranges", page)
 
 
 def _occupancy(sample: Sample, page: Page) -> None:
@@ -228,14 +186,15 @@ def _occupancy(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     solids, grid, origin = sample.solids, sample.contract.grid, sample.fields["origin"]
+    # a world of solids is known everywhere
     known = np.ones(grid.shape, bool)
     if isinstance(solids, VoxelMap):
         again, known = resample(solids, grid, origin)
     else:
         again = rasterize(solids, grid, origin)
-    _same(sample, "occupancy", again, f"world {sample.world}", page)
+    _expect_equal(sample, "occupancy", again, f"world {sample.world}", page)
     if "known" in sample.fields:
-        _same(sample, "known", known, f"world {sample.world}", page)
+        _expect_equal(sample, "known", known, f"world {sample.world}", page)
 
 
 def _rays_known(sample: Sample, page: Page) -> None:
@@ -244,21 +203,23 @@ def _rays_known(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     again = world.unknown_m(sample.scans[0]) <= known.most_unknown_m
-    _same(sample, "ray_known", again, f"world {sample.world}", page)
+    _expect_equal(sample, "ray_known", again, f"world {sample.world}", page)
 
 
-def _owners(sample: Sample, page: Page) -> None:
-    if (world := sample.audited) is None:
+def _parts_again(sample: Sample, page: Page) -> None:
+    contract = sample.contract
+    if not contract.parts or (world := sample.audited) is None:
         return
     page.count(samples=1)
     if isinstance(world, Place):
-        raise BrokenError(f"{sample.where}: has labels, and its world is a map, which has none")
-    contract = sample.contract
-    labels = contract.recipe.labels
-    assert labels is not None
-    again = label_fields(sample.fields, world, contract.lidar, contract.grid, labels)
-    for name in GROUPS["labels"]:
-        _same(sample, name, again[name], f"world {sample.world}", page)
+        raise BrokenError(
+            f"{sample.where}: has {' and '.join(contract.parts)}, and its world is a map, which "
+            f"has none"
+        )
+    for name, settings in contract.parts.items():
+        again = PARTS[name].compute(sample.fields, world, contract.recipe, settings)
+        for field, values in again.items():
+            _expect_equal(sample, field, values, f"world {sample.world}", page)
 
 
 CHECKS = (
@@ -266,11 +227,11 @@ CHECKS = (
     Check(name="names", quick=True, sample=_numbered),
     Check(name="centred", quick=True, sample=_centred),
     Check(name="laws", quick=True, sample=_lawful),
-    Check(name="labels", quick=True, field="voxel_geom", sample=_labelled),
+    Check(name="part-laws", quick=True, part=True, sample=_part_laws),
     Check(name="tudf", field="tudf", sample=_tudf),
     Check(name="voxels", sample=partial(_seen, "observed")),
     Check(name="free", field="free", sample=partial(_seen, "free")),
-    Check(name="owners", field="voxel_geom", sample=_owners),
+    Check(name="parts", part=True, sample=_parts_again),
     Check(name="occupancy", sample=_occupancy),
     Check(name="known", field="ray_known", sample=_rays_known),
 )

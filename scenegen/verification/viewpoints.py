@@ -1,5 +1,5 @@
-"""Checks of viewpoints: no two show the same, those of a flight are as far apart as the recipe
-says, and each is one that the recipe accepts."""
+"""Checks of viewpoints: all differ, those of a flight have the recipe's distance, and the recipe
+accepts each."""
 
 from typing import Any
 
@@ -7,30 +7,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen import SPLITS
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.contract import Manifest
 from scenegen.verification.check import Check, Sample
 from scenegen.verification.report import Page
 
 CONTENT = np.dtype([("content", "S16"), ("row", "<u4")])
-"""What is kept of a sample to find it again under another name: half a SHA-256."""
+"""Kept of each sample to find duplicates: half of a SHA-256."""
 PLACE = np.dtype([("place", "<i8"), ("position", "<f8", 3)])
-"""What is kept of a sample to measure how far others of its flight are: its place in its split."""
+"""Kept of each sample to measure distances on its flight: its position in the split, and in the
+world."""
 ROUNDING_M = 1e-9
-"""What rounding may add to a distance, metres."""
+"""Tolerance of distances, metres."""
 
 
 def _keep(sample: Sample, page: Page, record: NDArray[Any]) -> None:
-    """Keep a record for the examination of the whole folder."""
+    """Keep a record for the examination of the whole dataset."""
     if not page.kept:  # once a shard: there may be millions of samples
         page.kept.append((sample.shard.task.number, bytearray()))
     page.kept[0][1].extend(record.tobytes())
 
 
 def _all_kept(page: Page, kind: np.dtype) -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """The records (N,) that were kept, and the number of the shard of each, (N,)."""
+    """All kept records (N,), and the number of the shard of each, (N,)."""
     records = [np.frombuffer(content, kind) for _, content in page.kept]
     numbers = np.array([number for number, _ in page.kept], np.int64)
-    counts = [len(some) for some in records]
+    counts = [len(shard_records) for shard_records in records]
     return np.concatenate([np.empty(0, kind), *records]), np.repeat(numbers, counts)
 
 
@@ -41,7 +42,8 @@ def _keep_content(sample: Sample, page: Page) -> None:
 
 def _differ(contract: Manifest, page: Page) -> None:
     records, shards = _all_kept(page, CONTENT)
-    order = np.argsort(records["content"], kind="stable")  # equal ones stay in the order of shards
+    # stable: equal records stay in the order of shards
+    order = np.argsort(records["content"], kind="stable")
     contents = records["content"][order]
     for n in np.flatnonzero(contents[1:] == contents[:-1]):
         first, second = (
@@ -54,8 +56,9 @@ def _differ(contract: Manifest, page: Page) -> None:
 def _flown(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     contract, position = sample.contract, sample.fields["position"]
-    _keep(sample, page, np.array((sample.shard.places[sample.row], position), PLACE))
+    _keep(sample, page, np.array((sample.shard.first_place + sample.row, position), PLACE))
     recipe, spacing_m = contract.recipe, contract.mapping.scan_spacing_m
+    # the recipe has no bounds of worlds from files
     if recipe.world is not None:
         low, high = recipe.flight.bounds(recipe.world.size_m)
         page.expect(
@@ -64,8 +67,8 @@ def _flown(sample: Sample, page: Page) -> None:
             f"{low.tolist()} and {high.tolist()}, where the recipe's flights keep",
         )
     earlier = sample.fields.get("earlier_position", np.empty((0, 3)))
-    way = np.concatenate([position[None], earlier])
-    steps_m = _distances_m(way[:-1], way[1:])
+    positions = np.concatenate([position[None], earlier])
+    steps_m = _distances_m(positions[:-1], positions[1:])
     page.expect(
         (steps_m <= spacing_m + ROUNDING_M).all(),
         f"{sample.where}: from scan to scan are {steps_m.max(initial=0):.6g} m, expected at most "
@@ -75,56 +78,57 @@ def _flown(sample: Sample, page: Page) -> None:
 
 def _far_apart(contract: Manifest, page: Page) -> None:
     records, shards = _all_kept(page, PLACE)
-    flights = [home.recipe.flight for home in contract.homes]
-    sources = np.array([entry.source for entry in contract.shards], np.int64)[shards]
+    flight = contract.recipe.flight
     splits = np.array([SPLITS.index(entry.split) for entry in contract.shards], np.int64)[shards]
-    units = records["place"] // np.array([flight.viewpoints for flight in flights])[sources]
-    least_m = np.array([flight.spacing_m for flight in flights])[sources]
-    order = np.lexsort((records["place"], splits, sources))
-    for step in range(1, len(order)):  # those of one flight come one after the other
-        one, other = order[:-step], order[step:]
-        pairs = (units[one] == units[other]) & (splits[one] == splits[other])
-        pairs &= sources[one] == sources[other]
+    units, spacing_m = records["place"] // flight.viewpoints, flight.spacing_m
+    # by split, then by position in it
+    order = np.lexsort((records["place"], splits))
+    # samples of one flight are neighbours in this order: compare with the next one, the next but
+    # one, and so on, until no two are of the same flight
+    for step in range(1, len(order)):
+        first, second = order[:-step], order[step:]
+        pairs = (units[first] == units[second]) & (splits[first] == splits[second])
         if not pairs.any():
             break
-        one, other = one[pairs], other[pairs]
-        apart_m = _distances_m(records["position"][one], records["position"][other])
-        for n in np.flatnonzero(~(apart_m >= least_m[one] - ROUNDING_M)):
-            named = (f"{contract.shards[shards[at]].file}" for at in (one[n], other[n]))
+        first, second = first[pairs], second[pairs]
+        apart_m = _distances_m(records["position"][first], records["position"][second])
+        # negated, so that NaN counts as too close
+        for n in np.flatnonzero(~(apart_m >= spacing_m - ROUNDING_M)):
+            named = (f"{contract.shards[shards[at]].file}" for at in (first[n], second[n]))
             page.fault(
-                f"{' and '.join(dict.fromkeys(named))}: samples {records['place'][one[n]]} and "
-                f"{records['place'][other[n]]} of {SPLITS[splits[one[n]]]} are of one flight and "
-                f"{apart_m[n]:.6g} m apart, expected flight.spacing_m = {least_m[one[n]]:g}"
+                f"{' and '.join(dict.fromkeys(named))}: samples {records['place'][first[n]]} and "
+                f"{records['place'][second[n]]} of {SPLITS[splits[first[n]]]} are of one flight "
+                f"and {apart_m[n]:.6g} m apart, expected flight.spacing_m = {spacing_m:g}"
             )
 
 
-def _distances_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances (N,) of points (N, 3); NaN or infinite where a coordinate is."""
+def _distances_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances (N,) of points (N, 3), metres; NaN or infinite if a coordinate is."""
     with np.errstate(invalid="ignore", over="ignore"):
-        distances_m: NDArray[np.float64] = np.sqrt(((one - other) ** 2).sum(axis=1))
+        distances_m: NDArray[np.float64] = np.sqrt(((first - second) ** 2).sum(axis=1))
     return distances_m
 
 
 def _accepted(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     contract, fields = sample.contract, sample.fields
-    if contract.rescan is not None:
-        return  # which keeps every viewpoint, whatever the other sensor sees there
+    if contract.like is not None:
+        return  # a dataset like another one keeps every viewpoint, whatever its sensor sees
     accept, known = contract.recipe.accept, contract.known
     occupied = int(np.bitwise_count(sample.packed["occupancy"]).sum()) / fields["occupancy"].size
     shares = {"accept.min_occupied_share": (occupied, accept.min_occupied_share)}
-    if contract.noise is None:  # which may lose returns of a viewpoint that was accepted
+    if contract.noise is None:  # noise may remove returns after a viewpoint was accepted
         returned = np.isfinite(fields["ranges"]).mean()
         shares["accept.min_returned_share"] = (returned, accept.min_returned_share)
     if known is not None:
         shares["known.least_share"] = (fields["known"].mean(), known.least_share)
         marked = (~fields["ray_known"]).mean()
         shares["1 - known.most_marked_share"] = (1 - marked, 1 - known.most_marked_share)
-    for name, (share, least) in shares.items():
+    for name, (share, minimum) in shares.items():
         page.expect(
-            share >= least,
+            share >= minimum,
             f"{sample.where}: a share of {share:.4g} is too small to be kept with {name} = "
-            f"{least:g}",
+            f"{minimum:g}",
         )
 
 

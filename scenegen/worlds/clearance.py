@@ -1,4 +1,4 @@
-"""How far a point or a straight motion stays from the solids of a world: the collision check of the
+"""Distances of points and straight motions from the solids of a world: the collision check of
 flights."""
 
 import math
@@ -9,43 +9,47 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids, joining, local
+from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""
-MOST_CELLS = 250_000
-"""In a box that would hold more, cells are larger."""
+MAX_CELLS = 250_000
+"""The greatest number of cells; in larger boxes, cells are larger."""
 CAP_M = 1.0
-"""Distances are known exactly up to this; beyond it they count as this."""
+"""Distances are exact up to this, and capped at it."""
 STEP_M = 1e-3
-"""Shortest step of a motion check, hence how much closer than asked a solid may be between two
-steps."""
+"""Shortest step of a motion check. Between two steps, a solid may be closer by this."""
 
 
 class Clearance:
     """Distances to the solids of one world within a box.
 
-    Solids are sorted into cells of the plan, so that a query looks at a handful of them only.
-    """
+    Solids are sorted into cells of the plan, so that a query examines only a few of them."""
 
     def __init__(self, solids: Solids, bounds: Floats):
-        """`bounds` (2, 3): least and greatest corner of where queries will come from, world
-        metres."""
+        """Sort solids into cells.
+
+        Args:
+            solids: The world.
+            bounds: (2, 3): least and greatest corner of the box of queries, metres.
+        """
         low, high = bounds[0, :2], bounds[1, :2]
         extent = high - low
         cell_m = max(
-            CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS
+            CELL_M, float(np.sqrt(extent.prod() / MAX_CELLS)), float(extent.max()) / MAX_CELLS
         )
         cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
         corners = solids.triangles
+        # boxes grown by the cap: a cell lists every solid that is within it of one of its points
         lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
         upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
         first = np.clip(np.floor((lower - low) / cell_m), 0, cells).astype(np.int64)
         last = np.clip(np.floor((upper - low) / cell_m), -1, cells - 1).astype(np.int64)
         start, item = _sorted_into_cells(first, last, cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
+        # None spares numba the code for meshes, which few worlds have
         meshes = (solids.triangles, owner, solids.mesh_filled) if len(owner) else None
         self._arguments: tuple[Any, ...] = (
             low,
@@ -61,22 +65,37 @@ class Clearance:
         )
 
     def at(self, x: float, y: float, z: float) -> float:
-        """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
+        """Compute the distance from a point to the nearest solid.
+
+        Args:
+            x, y, z: The point, metres.
+
+        Returns:
+            Metres, at most `CAP_M`; 0 inside a solid.
+        """
         return float(_clearance(x, y, z, CAP_M, 0.0, self._arguments))
 
     def motion_is_free(self, p: Vector, q: Vector, radius_m: float) -> bool:
-        """Whether a ball of `radius_m` (below `CAP_M`) moved straight from `p` to `q` stays clear
-        of every solid.
+        """Test whether a ball moved along a straight line stays clear of every solid.
 
-        Walks by the distance still free, which no solid can undercut, in steps of at least
+        It walks by the distance still free, which no solid can undercut, in steps of at least
         `STEP_M`.
+
+        Args:
+            p: Start of its centre, metres.
+            q: End of its centre, metres.
+            radius_m: The ball's, below `CAP_M`.
+
+        Returns:
+            Whether it stays clear.
         """
         return bool(_motion_is_free(p, q, radius_m, self._arguments))
 
 
 def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints]:
-    """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in
-    rising order."""
+    """List by cell the elements that reach into it.
+
+    Compressed rows: item[start[c]:start[c + 1]] are those of cell c, rising."""
     start, columns = np.zeros(cells.prod() + 2, np.int64), cells[1]
     _visit_cells(first, last, columns, start, np.empty(0, np.int64))
     np.cumsum(start, out=start)
@@ -87,8 +106,8 @@ def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints
 
 @kernel
 def _visit_cells(first, last, columns, start, item):
-    """Count in start[c + 2] the elements that reach into cell c; or, given room for them all, put
-    each in `item` at start[c + 1], which then moves on."""
+    """Count in start[c + 2] the elements that reach into cell c; or, if `item` has room for them,
+    put each in it at start[c + 1], which then moves on."""
     for n in range(len(first)):
         for i in range(first[n, 0], last[n, 0] + 1):
             for j in range(first[n, 1], last[n, 1] + 1):
@@ -102,8 +121,10 @@ def _visit_cells(first, last, columns, start, item):
 
 @kernel
 def _clearance(x, y, z, cap_m, enough_m, arguments):
-    """Distance of a point, up to `cap_m`; one below `enough_m` may be that of another solid than
-    the nearest. Of the two branches, numba compiles that for the `arguments`."""
+    """Compute the distance of a point, up to `cap_m`; below `enough_m`, another solid may be
+    nearer.
+
+    Of the two branches, numba compiles only that for the `arguments`."""
     if len(arguments) == 4:
         return _from_voxels(x, y, z, cap_m, enough_m, *arguments)
     return _from_solids(x, y, z, *arguments)
@@ -125,15 +146,15 @@ def _from_solids(
     rotation,
     meshes,
 ):
-    """`_clearance` among the solids of a `Clearance`, up to `CAP_M`. Without `meshes`, numba leaves
-    out what it would compile for them."""
+    """`_clearance` among the solids of a `Clearance`, up to `CAP_M`. Without `meshes`, numba omits
+    their code."""
     i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
     j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j
     nearest = CAP_M
     mesh, winding = -1, 0
-    for at in range(start[cell], start[cell + 1]):
-        n = item[at]
+    for entry in range(start[cell], start[cell + 1]):
+        n = item[entry]
         if n < len(shape):
             dx, dy, dz = local(rotation[n], *joining(position[n], (x, y, z)))
             nearest = min(nearest, distance(shape[n], size[n], dx, dy, dz))
@@ -142,12 +163,14 @@ def _from_solids(
             t = triangles[n - len(shape)]
             m = owner[n - len(shape)]
             nearest = min(nearest, triangle_distance(t[0], t[1], t[2], x, y, z))
+            # the triangles of a mesh follow one another, so its winding number is complete here
             if m != mesh:
                 if winding != 0:
                     return 0.0
                 mesh, winding = m, 0
             if filled[m]:
                 sign, height = crossing(t[0], t[1], t[2], x, y)
+                # crossings above the point: their sum is the winding number around it
                 if sign != 0 and height > z:
                     winding += sign
     return 0.0 if winding != 0 else nearest
@@ -155,19 +178,20 @@ def _from_solids(
 
 @kernel
 def _from_voxels(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
-    """`_clearance` in a map of voxels: those that are not free count as solids, or, where it is
-    `opened`, the occupied ones alone."""
+    """`_clearance` in a map of voxels. Voxels that are not free count as solids; in an `opened`
+    map, only the occupied ones."""
     nx, ny, nz = states.shape
     sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
     nearest, enough = cap_m / voxel_m, enough_m / voxel_m
     i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
-    # shells of voxels around the point's own, until the next one is farther than what was found
+    # shells of voxels around the point's own, until the next one is farther than the nearest solid
     for shell in range(math.ceil(nearest) + 1):
         if shell - 1 >= nearest or nearest < enough:
             break
         for a in range(i - shell, i + shell + 1):
             for b in range(j - shell, j + shell + 1):
                 side = abs(a - i) == shell or abs(b - j) == shell
+                # on the shell only: inner layers have just its top and bottom
                 step = 1 if side or shell == 0 else 2 * shell
                 for c in range(k - shell, k + shell + 1, step):
                     inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
@@ -187,10 +211,10 @@ def _motion_is_free(p, q, radius, arguments):
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # the walk below cannot pass a point that is closer than asked by two of its steps, and most
     # motions that it would refuse have one here
-    least = radius - 2 * STEP_M
+    too_near = radius - 2 * STEP_M
     for s in (1.0, 0.5):
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        if _clearance(x, y, z, radius, least, arguments) < least:
+        if _clearance(x, y, z, radius, too_near, arguments) < too_near:
             return False
     t = 0.0
     while True:

@@ -1,5 +1,5 @@
-"""Point clouds become maps: a voxel with a point in it is occupied, and one that the ray from a
-sensor to its point crossed is free."""
+"""Maps of point clouds: voxels with points are occupied, those that rays from sensor to point cross
+are free."""
 
 import functools
 import math
@@ -15,27 +15,27 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.parameters import MIN_RETURN_M, Checked, number
-from lidarsim.pose import rotate
+from lidarsim.pose import Pose, rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import clear
-from scenegen.clouds import Cloud, ReadReport, check_scan, read_cloud
-from scenegen.errors import SceneError
-from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
-from scenegen.poses import has_camera, read_numbers, read_poses
+from scenegen.base.errors import SceneError
+from scenegen.base.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
+from scenegen.worlds.clouds import Cloud, ReadReport, check_scan, read_cloud
+from scenegen.worlds.poses import has_camera, read_numbers, read_poses
 
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
 second."""
-Frame: TypeAlias = tuple[Floats | None, Floats]
-"""A sensor's axes as rows (3, 3), None where its points are in the world's frame; and where it was,
-(1, 3) or (N, 3)."""
+Placement: TypeAlias = Pose | Floats
+"""The pose of a sensor in whose frame the points are; or where it was, (1, 3), in the frame of the
+points."""
 FARTHEST_M = 1e12
-"""A point or a ray beyond this is not in any map."""
+"""Points and rays beyond this lie in no map, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Survey(Checked):
-    """How clouds are read, and what is made of them."""
+    """Parameters of how clouds are read and mapped."""
 
     voxel_m: float = number(0.2, least=1e-3, most=1e3)
     """Edge of the map's voxels, metres; they lie at multiples of it, as OctoMap's do."""
@@ -53,17 +53,17 @@ class Survey(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
-    """A map, and what it was made of."""
+class CloudMap:
+    """A map, and its sources."""
 
     voxels: VoxelMap
     """The map."""
     offset: Floats
-    """(3,): what was taken off the file's coordinates, metres."""
+    """(3,): subtracted from the file's coordinates, metres."""
     points: int
-    """How many points there are in the map, or cells in the plan that it is made of."""
+    """Count of points in the map; of a floor plan, its known cells."""
     read: str
-    """What was read, in a line for people."""
+    """A line for people about the files."""
 
 
 def map_clouds(
@@ -74,41 +74,45 @@ def map_clouds(
     poses: Path | None = None,
     box: Sequence[float] | None = None,
     columns: int | None = None,
-) -> Surveyed:
-    """One map of several clouds of one place. Where a voxel has both points and rays through it, it
-    is occupied.
+) -> CloudMap:
+    """Make one map of several clouds of one place. A voxel with both points and rays is occupied.
 
-    Every file is read twice, but for a single one: for the map's size, and for what is in it.
+    Every file is read twice, unless it is the only one: for the map's size, and for its points.
 
     Args:
-        files: What `scenegen.clouds.read_cloud` reads.
-        survey: How it is read, and what is made of it.
+        files: Files that `scenegen.worlds.clouds.read_cloud` reads.
+        survey: How they are read and mapped.
         sensor: Where the sensor was, (3,), in the frame and the unit of the points.
         poses: A file with a line for each of `files`: the sensor's position; or its pose, as
-            `scenegen.poses.read_poses` has it, where the points are in the sensor's own frame.
-        box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
-            all points and sensors are.
-        columns: See `scenegen.clouds.read_cloud`.
+            `read_poses` reads it, if the points are in the sensor's own frame.
+        box: The least and the greatest corner of the map, (6,), in the points' frame and unit; None
+            for the box around all points and sensors.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
+
+    Returns:
+        The map.
 
     Raises:
-        SceneError: Nothing says what is free, the map would be too large, or there is no point.
-        DatasetError: A file cannot be read, or holds what no sensor returns.
+        SceneError: If free space cannot be determined, the map would be too large, or there is no
+            point.
+        DatasetError: If a file cannot be read, or holds points that no sensor returns.
     """
     survey = survey or Survey()
-    frames = None if poses is None else _read_poses(poses, files)
+    placements: Sequence[Placement | None] = [
+        None if sensor is None else np.array([sensor], float)
+    ] * len(files)
+    if poses is not None:
+        placements = _read_poses(poses, files)
 
     @functools.lru_cache(maxsize=1)
-    def read(index: int) -> _Seen:
-        frame: Frame | None = None
-        if frames is not None:
-            frame = frames[index]
-        elif sensor is not None:
-            frame = None, np.array([sensor], float)
+    def read(index: int) -> _Returns:
         cloud = read_cloud(files[index], MOST_CLOUD_BYTES, columns=columns)
-        return _placed(cloud, frame, survey, str(files[index]), boxed=box is not None)
+        name = str(files[index])
+        return _returns(cloud, placements[index], survey, name, is_boxed=box is not None)
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        # the first reading, for the extent of all points and sensors
         for part in (part for index in range(len(files)) for part in read(index)[:2]):
             finite = part[np.isfinite(part).all(axis=1)]
             low = np.minimum(low, finite.min(axis=0, initial=np.inf))
@@ -121,14 +125,16 @@ def map_clouds(
         raise SceneError(f"{where}: no point in it is finite; expected x, y and z in metres")
     offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
+    # apart from the states: rays of later files must not clear points of earlier ones
     occupied = np.zeros(states.shape, bool)
     points, report = 0, ReadReport()
     for index in range(len(files)):
+        # the second reading; a single file is still cached
         seen = read(index)
         report.add(seen.recorded, seen.layout, seen.recorded - len(seen.points))
         points += _carve(
             seen.points - offset,
-            seen.sensors - offset,
+            seen.origins - offset,
             origin,
             survey.voxel_m,
             states.reshape(-1),
@@ -137,99 +143,101 @@ def map_clouds(
     if not points:
         raise SceneError(f"{where}: no point in it lies in the box; give a --box that holds some")
     if survey.assume_free:
+        # above the lowest point of each column; occupied voxels are set after
         states[np.logical_or.accumulate(occupied, axis=2)] = FREE
     states[occupied] = OCCUPIED
-    return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points, str(report))
+    return CloudMap(VoxelMap(states, survey.voxel_m, origin), offset, points, str(report))
 
 
-class _Seen(NamedTuple):
-    """What a file says, in the map's axes, metres."""
+class _Returns(NamedTuple):
+    """The returns of a file, in the map's axes, metres."""
 
     points: Floats
-    """(N, 3): its returns."""
-    sensors: Floats
-    """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if nobody knows."""
+    """(N, 3)."""
+    origins: Floats
+    """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if unknown."""
     layout: str
     """See `Cloud`."""
     recorded: int
     """Points in the file, returns and others."""
 
 
-def _placed(
-    cloud: Cloud,
-    frame: Frame | None,
-    survey: Survey,
-    where: str,
-    *,
-    boxed: bool,
-) -> _Seen:
-    """The returns of a cloud, in the map's axes.
+def _returns(
+    cloud: Cloud, placement: Placement | None, survey: Survey, where: str, *, is_boxed: bool
+) -> _Returns:
+    """Select the returns of a cloud, and move them to the map's axes.
 
-    What is no return is told in the sensor's frame, before the points are moved. Where nobody knows
-    the sensor, all finite points are returns: 0 0 0 is a place in a registered cloud.
+    Points without a return are dropped in the sensor's frame, before points are moved. If the
+    sensor's place is unknown, all finite points are returns: 0 0 0 is a place in a registered
+    cloud.
 
     Args:
-        cloud: What was read of a file.
-        frame: Of the sensor; None where the cloud itself says where it was.
+        cloud: The points of a file.
+        placement: None if the cloud itself says where the sensor was.
         survey: How it is read.
         where: The file, for errors.
-        boxed: Whether far points are cut off anyway.
+        is_boxed: Whether far points are cut off anyway.
 
     Raises:
-        SceneError: Nobody knows the sensor, and nothing is assumed to be free.
-        DatasetError: A point is farther from its sensor than any return.
+        SceneError: If the sensor's place is unknown, and nothing is assumed to be free.
+        DatasetError: If a point is farther from its sensor than any return.
     """
-    axes, sensors = (None, cloud.sensors) if frame is None else frame
-    if sensors is None:
+    points, pose, origins = cloud.points, None, cloud.origins
+    if isinstance(placement, Pose):
+        pose, origins = placement, np.zeros((1, 3))
+    elif placement is not None:
+        origins = placement
+    if origins is None:
         if not survey.assume_free:
             raise SceneError(
                 f"{where}: does not say where its sensor was, so nothing in it is known to be "
                 "free; give scenegen map --sensor or --poses, or --assume-free for all above the "
                 "ground"
             )
-        returned, sensors = np.isfinite(cloud.points).all(axis=1), np.zeros((0, 3))
-    else:
-        start = sensors if axes is None else np.zeros(3)
-        rows, starts = cloud.points * survey.unit_m, start * survey.unit_m
-        if not boxed:
-            check_scan(rows, starts, where)
-        returned = are_returns(rows, starts, survey.least_m)
-    points = cloud.points[returned]
-    if axes is not None:
-        points = points @ axes + sensors
-    if len(sensors) > 1:
-        sensors = sensors[returned]
-    return _Seen(
-        _upright(points, survey), _upright(sensors, survey), cloud.layout, len(cloud.points)
+        points = points[np.isfinite(points).all(axis=1)]
+        return _Returns(_upright(points, survey), np.zeros((0, 3)), cloud.layout, len(cloud.points))
+    rows, starts = points * survey.unit_m, origins * survey.unit_m
+    if not is_boxed:
+        check_scan(rows, starts, where)
+    # in metres, as the minimum range is; `points` keep the file's unit
+    returned = are_returns(rows, starts, survey.least_m)
+    points = points[returned]
+    if pose is not None:
+        points = rotate(pose.quaternion, points) + pose.position
+        origins = pose.position[None]
+    elif len(origins) > 1:
+        origins = origins[returned]
+    return _Returns(
+        _upright(points, survey), _upright(origins, survey), cloud.layout, len(cloud.points)
     )
 
 
-def _read_poses(path: Path, files: Sequence[Path]) -> list[Frame]:
-    """The frame of each file's sensor. Raises DatasetError and SceneError."""
-    count = len(files)
+def _read_poses(path: Path, files: Sequence[Path]) -> Sequence[Placement]:
+    """Read the placement of each file's sensor. Raises DatasetError and SceneError."""
     names, rows = read_numbers(path)
-    found: list[Frame]
+    placements: Sequence[Placement]
     if not names and rows.shape[1] == 3:
-        found = [(None, row[None]) for row in rows]
+        placements = list(rows[:, None])
     else:
-        poses = read_poses(path, timed=False).poses
+        placements = read_poses(path, timed=False).poses
+        # KITTI puts it beside the folder of clouds
         calibration = files[0].resolve().parent.parent / "calib.txt"
         if not names and rows.shape[1] == 12 and has_camera(calibration):
             raise SceneError(
                 f"{path}: has matrices as KITTI's, and {calibration} a Tr, so they may be those of "
                 "its camera; use scenegen ingest, or give the sensor's poses as TUM writes them"
             )
-        found = [(rotate(one.quaternion, np.eye(3)), one.position[None]) for one in poses]
-    if len(found) != count:
+    if len(placements) != len(files):
         raise SceneError(
-            f"{path}: {len(found)} poses, expected {count}, one for each file of points"
+            f"{path}: {len(placements)} poses, expected {len(files)}, one for each file of points"
         )
-    return found
+    return placements
 
 
 def _upright(points: Floats, survey: Survey) -> Floats:
-    """`points` (N, 3) of a file in metres, z up."""
+    """Convert points (N, 3) of a file to metres, z up."""
     if survey.up == "y":
+        # a quarter turn about x
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
     return points * survey.unit_m
 
@@ -237,10 +245,11 @@ def _upright(points: Floats, survey: Survey) -> Floats:
 def _empty_map(
     low: Floats, high: Floats, voxel_m: float, where: str
 ) -> tuple[NDArray[np.uint8], Floats]:
-    """Unknown states that hold everything from `low` to `high`, and their least corner."""
+    """Make unknown states that hold everything from `low` to `high`; and their least corner."""
     origin = np.floor(low / voxel_m) * voxel_m
     origin -= np.where(origin > low, voxel_m, 0.0)  # by rounding
     shape = np.floor((high - origin) / voxel_m) + 1.0
+    # False for infinite and NaN products, too
     if not shape.prod() <= MOST_PLACE_VOXELS:
         raise SceneError(
             f"{where}: {' × '.join(f'{edge:.6g}' for edge in shape)} voxels of {voxel_m:g} m, "
@@ -252,10 +261,12 @@ def _empty_map(
 
 @kernel
 def _carve(points, sensors, origin, voxel_m, states, occupied):
-    """Mark voxels with `points` (N, 3) as `occupied`, and those on the way from `sensors` (none,
-    one, or N of them) as free in the flat `states`. How many points lie in the map."""
+    """Mark voxels with points as `occupied`, and those on their rays as free in the flat `states`.
+
+    `points` are (N, 3), `sensors` none, one, or N of them. Returns the count of points in the map.
+    """
     nx, ny, nz = occupied.shape
-    kept = 0
+    inside = 0
     for n in range(len(points)):
         x, y, z = points[n]
         if not abs(x) + abs(y) + abs(z) < FARTHEST_M:
@@ -265,12 +276,12 @@ def _carve(points, sensors, origin, voxel_m, states, occupied):
         k = math.floor((z - origin[2]) / voxel_m)
         if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
             occupied[i, j, k] = True
-            kept += 1
+            inside += 1
         if len(sensors) > 0:
             start = sensors[n if len(sensors) > 1 else 0]
             dx, dy, dz = x - start[0], y - start[1], z - start[2]
-            way = math.sqrt(dx * dx + dy * dy + dz * dz)
-            if 0.0 < way < FARTHEST_M:
-                ray = (dx / way, dy / way, dz / way)
-                clear(start, ray, way, origin, voxel_m, nx, ny, nz, states)
-    return kept
+            length = math.sqrt(dx * dx + dy * dy + dz * dz)
+            if 0.0 < length < FARTHEST_M:
+                ray = (dx / length, dy / length, dz / length)
+                clear(start, ray, length, origin, voxel_m, nx, ny, nz, states)
+    return inside

@@ -1,5 +1,5 @@
-"""Flights: OMPL's RRT between a random start and goal, the viewpoints along the path, and how a
-quadrotor leans there."""
+"""Flights: OMPL's RRT between a random start and goal, viewpoints along the path, and a quadrotor's
+tilt there."""
 
 import math
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from lidarsim import Pose
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Vector
 from lidarsim.parameters import MOST_LENGTH_M, check, number
-from scenegen.errors import GenerationError, whole_number
-from scenegen.limits import (
+from scenegen.base.errors import GenerationError, whole_number
+from scenegen.base.limits import (
     LEAST_DRAWN_M,
     MOST_CANDIDATES,
     MOST_DRAWN_M,
@@ -31,8 +31,8 @@ from scenegen.worlds.world import AnyWorld
 
 GRAVITY = 9.81
 """Metres a second squared."""
-LEAST_THRUST = 0.5
-"""The vertical part of the thrust, a share of what hovering takes, is never less."""
+MIN_THRUST = 0.5
+"""Lower bound of the thrust's vertical part, as a share of the thrust in hover."""
 
 ou.noOutputHandler()
 
@@ -75,9 +75,16 @@ class Flight:
             )
 
     def bounds(self, size_m: Vector) -> Floats:
-        """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
+        """Compute the box of flights through a drawn world.
 
-        Raises ValueError where the margin leaves none.
+        Args:
+            size_m: The world's extent, metres.
+
+        Returns:
+            Least and greatest corner, (2, 3), metres.
+
+        Raises:
+            ValueError: If the margin leaves no box.
         """
         (low, high), margin = self.altitude_m, self.margin_m
         box = np.array([[margin, margin, low], [size_m[0] - margin, size_m[1] - margin, high]])
@@ -90,23 +97,27 @@ class Flight:
 
 
 def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
-    """A path through a world as `plan` gives it, or None."""
-    room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
-    return plan(world.clearance, room, flight, rng=rng)
+    """Draw a collision-free path between a random start and goal by RRT (LaValle 1998) as OMPL has
+    it.
 
+    The same `rng` state gives the same path: OMPL's own generator is seeded from it before a fresh
+    planner is made, and the search ends on a count of iterations, never on time.
 
-def plan(clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator) -> Floats | None:
-    """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
-    (2, 3), or None.
+    Args:
+        world: The world.
+        flight: Parameters of the flight.
+        rng: Draws start, goal and seed.
 
-    RRT (LaValle 1998) as OMPL has it. The same `rng` state gives the same path: OMPL's own
-    generator is seeded from it before a fresh planner is made, and the search ends on a count of
-    iterations, never on time.
+    Returns:
+        The path (n, 3), metres; None if none was found.
     """
+    clearance = world.clearance
+    bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     ends = _start_and_goal(clearance, bounds, flight, rng=rng)
+    # drawn even without ends, so that later draws do not depend on them
     seed = int(rng.integers(1, 2**31))
-    found = None if ends is None else connect(clearance, bounds, flight, ends, seed)
-    return None if found is None else points_of(found[1])
+    solution = None if ends is None else connect(clearance, bounds, flight, ends, seed)
+    return None if solution is None else points_of(solution[1])
 
 
 def connect(
@@ -116,8 +127,18 @@ def connect(
     ends: tuple[Floats, Floats],
     seed: int,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
-    """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
-    None where it finds none. For the other arguments see `plan`."""
+    """Search a path between two points by RRT.
+
+    Args:
+        clearance: The collision check.
+        bounds: (2, 3): the box of the search, world metres.
+        flight: Radius of the robot, and the planner's parameters.
+        ends: Start and goal, (3,) each.
+        seed: Seed of OMPL's generator.
+
+    Returns:
+        OMPL's path, with the space that checks its motions; None if RRT finds none.
+    """
     ou.RNG.setSeed(seed)
     space, box = ob.RealVectorStateSpace(3), ob.RealVectorBounds(3)
     for axis, (low, high) in enumerate(bounds.T.tolist()):
@@ -125,7 +146,7 @@ def connect(
         box.setHigh(axis, high)
     space.setBounds(box)
     information = ob.SpaceInformation(space)
-    # motions are checked whole, their ends included
+    # states need no check: that of motions covers their ends
     information.setStateValidityChecker(lambda state: True)
     information.setMotionValidator(_Motions(information, clearance, flight.robot_radius_m))
     information.setup()
@@ -138,6 +159,7 @@ def connect(
     planner.setRange(flight.step_m)
     planner.setProblemDefinition(problem)
     planner.setup()
+    # OMPL evaluates the condition once an iteration
     rounds = iter(range(flight.iterations))
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
@@ -146,7 +168,7 @@ def connect(
 
 
 def points_of(path: og.PathGeometric) -> Floats:
-    """The points (n, 3) of a path of OMPL's."""
+    """Convert a path of OMPL's to points (n, 3)."""
     return np.array([_place(state) for state in path.getStates()])
 
 
@@ -155,8 +177,7 @@ def _place(state: ob.State) -> Vector:
 
 
 class _Motions(ob.MotionValidator):
-    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between
-    its ends."""
+    """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, exact to a millimetre."""
 
     def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
         super().__init__(information)
@@ -165,34 +186,41 @@ class _Motions(ob.MotionValidator):
     def checkMotion(  # noqa: N802 (OMPL's name)
         self, a: ob.State, b: ob.State, last_valid: object = None
     ) -> bool:
+        """Test the edge from `a` to `b`.
+
+        Returns:
+            Whether it is free.
+        """
         return self._clearance.motion_is_free(_place(a), _place(b), self._radius_m)
 
 
 def _start_and_goal(
     clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator
 ) -> tuple[Floats, Floats] | None:
-    """Two free points far enough apart, or None after a hundred draws."""
-    apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
+    """Draw two free points far enough apart; None after a hundred draws."""
+    min_distance = min(
+        flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3
+    )
     start = None
     for point in rng.uniform(bounds[0], bounds[1], (100, 3)):
         if clearance.at(*point) < flight.robot_radius_m:
             continue
         if start is None:
             start = point
-        elif ((point - start) ** 2).sum() >= apart * apart:
+        elif ((point - start) ** 2).sum() >= min_distance * min_distance:
             return start, point
     return None
 
 
 class Route:
-    """A path of straight legs, (n, 3) world metres, by the metres flown along it."""
+    """A path of straight legs, (n, 3) world metres, parametrized by the metres flown."""
 
     def __init__(self, path: Floats):
         self.path, self.legs = path, np.diff(path, axis=0)
         self.lengths = np.sqrt((self.legs**2).sum(axis=1))
         self.ends = np.concatenate([[0.0], np.cumsum(self.lengths)])
         """(n,): metres flown at each point."""
-        # where a leg climbs straight up, the body looks as it did before
+        # on a leg straight up, the body keeps its heading
         level = np.sqrt(self.legs[:, 0] * self.legs[:, 0] + self.legs[:, 1] * self.legs[:, 1])
         turned = np.where(level > 1e-6, np.arange(len(self.legs)), 0)
         headings = np.where(level[:, None] > 1e-6, self.legs[:, :2], (1.0, 0.0))
@@ -201,23 +229,33 @@ class Route:
 
     @cached_property
     def turns(self) -> tuple[Floats, Floats]:
-        """How the direction of flight changes at each point, its begin and end included, (k, 3),
-        and the metres flown there, (k,)."""
-        there = self.lengths > 0.0
-        direction = self.legs[there] / self.lengths[there, None]
+        """Changes of the direction of flight at each point, its begin and end included, (k, 3), and
+        the metres flown there, (k,)."""
+        moving = self.lengths > 0.0
+        direction = self.legs[moving] / self.lengths[moving, None]
+        # the flight begins and ends at rest
         still = np.zeros((1, 3))
         change = np.diff(np.concatenate([still, direction, still]), axis=0)
-        return change, self.ends[np.append(there, True)]
+        return change, self.ends[np.append(moving, True)]
 
     def at(self, flown_m: Floats) -> tuple[Floats, Floats]:
-        """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
+        """Compute positions (m, 3), metres, and headings (m, 2), of any length, at `flown_m`
+        (m,)."""
+        # the end of the path belongs to its last leg
         leg = np.minimum(np.searchsorted(self.ends, flown_m, side="right") - 1, len(self.legs) - 1)
         along = (flown_m - self.ends[leg]) / self.lengths[leg]
         return self.path[leg] + along[:, None] * self.legs[leg], self.headings[leg]
 
     def pose(self, flown_m: float, mapping: Mapper | None = None) -> Pose:
-        """The body's pose at `flown_m`, which looks along the path: level, or leaning as `mapping`
-        has it."""
+        """Compute the body's pose, which looks along the path.
+
+        Args:
+            flown_m: Metres flown.
+            mapping: Its speed tilts the body; None keeps it level.
+
+        Returns:
+            The pose.
+        """
         (position,), (heading,) = self.at(np.array([flown_m]))
         level = Pose.facing(position, heading)
         if mapping is None or not mapping.tilt_mps:
@@ -228,16 +266,32 @@ class Route:
         return leaning(level, pull, most_deg=mapping.most_tilt_deg)
 
     def before(self, flown_m: float, mapping: Mapper) -> list[Pose]:
-        """The poses from which the earlier scans of a viewpoint are made, the last one first."""
+        """Compute the poses of a viewpoint's earlier scans.
+
+        Args:
+            flown_m: Metres flown at the viewpoint.
+            mapping: Count and distance of the scans.
+
+        Returns:
+            The poses, the last one first; scans before the start are taken at the start.
+        """
         back = [mapping.scan_spacing_m * number for number in range(1, mapping.scans)]
         return [self.pose(max(flown_m - metres, 0.0), mapping) for metres in back]
 
 
 def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route, Floats]:
-    """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
-    flown along it to each, (m,), in random order.
+    """Choose candidate viewpoints on a path.
 
-    Raises GenerationError where there would be more than `MOST_CANDIDATES`.
+    Args:
+        path: (n, 3), metres.
+        spacing_m: Their distance along it, metres.
+        rng: Draws the first, and the order.
+
+    Returns:
+        The route, and the metres flown along it to each, (m,), in random order.
+
+    Raises:
+        GenerationError: If there would be more than `MOST_CANDIDATES`.
     """
     route = Route(path)
     length = route.ends[-1]
@@ -246,21 +300,25 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route
             f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a "
             f"flight of {length:.0f} m; raise it"
         )
+    # a random phase: else the first viewpoint would always be the start
     flown = np.arange(rng.uniform(0.0, spacing_m), length, spacing_m)
     return route, flown[rng.permutation(len(flown))]
 
 
 def poses_in_flight(world: AnyWorld, *, seed: int, every_m: float | None = None) -> list[Pose]:
-    """The viewpoints of a random flight through a world, in the order in which they are passed.
+    """Draw a flight through a world, and return its viewpoints in order.
 
     Args:
         world: The world.
-        seed: What the flight is drawn by.
-        every_m: Metres between them; those of a sample's flight by default.
+        seed: Seed of the flight.
+        every_m: Metres between viewpoints; those of a sample's flight by default.
+
+    Returns:
+        Level poses.
 
     Raises:
-        GenerationError: No flight fits.
-        DatasetError: The seed is no whole number from 0 on.
+        GenerationError: If no flight fits.
+        DatasetError: If the seed is not a whole number from 0 on.
     """
     flight = Flight() if every_m is None else Flight(spacing_m=every_m)
     route, flown = _flown(world, flight, seed)
@@ -268,7 +326,18 @@ def poses_in_flight(world: AnyWorld, *, seed: int, every_m: float | None = None)
 
 
 def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
-    """A random viewpoint of a random flight. Raises GenerationError where none fits."""
+    """Draw a viewpoint of a random flight.
+
+    Args:
+        world: The world.
+        seed: Seed of the flight.
+
+    Returns:
+        A level pose.
+
+    Raises:
+        GenerationError: If no flight fits.
+    """
     route, flown = _flown(world, Flight(), seed)
     return route.pose(flown[0])
 
@@ -277,8 +346,8 @@ def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
     rng = np.random.default_rng(whole_number("flight: seed =", seed, 0, MOST_SEED))
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
-        if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
-            return found
+        if path is not None and (drawn := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
+            return drawn
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 
 
@@ -290,37 +359,57 @@ def acceleration(
     speed_mps: float,
     settle_s: float,
 ) -> Vector:
-    """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
-    at `speed_mps`.
+    """Compute the acceleration along a path of straight legs, flown at constant speed.
 
-    `turns` (n, 3) say how the direction, a unit vector, changes at the path's points, `ends_m` (n,)
-    along it. Each change of velocity is spread over `settle_s` before and after, by a triangle:
-    this is the second derivative of the path smoothed by that triangle.
+    Each change of velocity is spread over `settle_s` before and after, by a triangle: this is the
+    second derivative of the path smoothed by that triangle.
+
+    Args:
+        turns: (n, 3): changes of the direction, a unit vector, at the path's points.
+        ends_m: (n,): metres flown at these.
+        flown_m: Metres flown.
+        speed_mps: Metres a second.
+        settle_s: Seconds.
+
+    Returns:
+        x, y, z, metres a second squared, in the world.
     """
     shares = 1.0 - np.abs((flown_m - ends_m) / speed_mps) / settle_s
     near = shares > 0.0
     pulls = speed_mps * turns[near] * shares[near, None] / settle_s
-    x, y, z = pulls.sum(axis=0, initial=0.0).tolist()  # one after the other
+    x, y, z = pulls.sum(axis=0, initial=0.0).tolist()  # along the first axis, sums run in order
     return x, y, z
 
 
 def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
-    """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
-    has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
-    up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
+    """Tilt a body as a quadrotor's thrust demands, the shortest way, so that its heading stays.
+
+    Args:
+        pose: The level pose.
+        pull: Acceleration, metres a second squared, in the world.
+        most_deg: The greatest tilt, degrees.
+
+    Returns:
+        The tilted pose.
+    """
+    up = max(GRAVITY + pull[2], MIN_THRUST * GRAVITY)
     w, _, _, z = pose.quaternion.tolist()
     cosine, sine = w * w - z * z, 2 * w * z
+    # the acceleration in the body's level frame
     forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
     sideways = math.sqrt(forward * forward + left * left)
-    most_sine, most_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
-    if sideways * most_cosine > up * most_sine:
-        share = up * most_sine / (most_cosine * sideways)
+    max_sine, max_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
+    # the tilt's tangent is sideways / up, here without a division
+    if sideways * max_cosine > up * max_sine:
+        share = up * max_sine / (max_cosine * sideways)
         forward, left = forward * share, left * share
     length = math.sqrt(forward * forward + left * left + up * up)
+    # half-angle formulas, as in `Pose.facing`: no arctangent, so the same bits everywhere
     half = math.sqrt(0.5 + 0.5 * up / length)
     x, y = -left / (2 * half * length), forward / (2 * half * length)
+    # the yaw times the tilt (half, x, y, 0)
     return Pose(pose.position, np.array([w * half, w * x - z * y, w * y + z * x, z * half]))
 
 
 TRIES = 50
-"""Flights tried before a world counts as too narrow, where one pose is asked for."""
+"""Flights tried for a single pose before the world counts as too narrow."""

@@ -1,11 +1,10 @@
-"""The triangles of a binary glTF 2.0 file (.glb), where its nodes put them.
+"""Reader of binary glTF 2.0 (.glb): the triangles, where the nodes put them.
 
-What places a rigid triangle is read (Khronos, glTF 2.0 specification): nodes, integer accessors,
-and the extensions `QUANTIZED` and `INSTANCED`. Meshes that bend, by a skin or by
-the weights of morph targets, are left out, and a note says so. A file that requires another
-extension is refused, as the specification asks, unless the extension concerns colours, textures or
-lights alone: these are left out.
-"""
+Everything that places a rigid triangle is read (Khronos, glTF 2.0 specification): nodes, integer
+accessors, and the extensions `QUANTIZED` and `INSTANCED`. Meshes that bend, by a skin or by the
+weights of morph targets, are left out, and a note says so. A file that requires another extension
+is refused, as the specification demands, unless the extension concerns only colours, textures or
+lights: these are ignored."""
 
 import json
 import struct
@@ -17,16 +16,16 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.errors import BrokenError, short
-from scenegen.files import Json
-from scenegen.limits import MOST_GEOMS
+from scenegen.base.errors import BrokenError, short
+from scenegen.base.files import Json
+from scenegen.base.limits import MOST_GEOMS
 
 QUANTIZED = "KHR_mesh_quantization"
 """Positions as integers. Accessors of integers are read anyway."""
 INSTANCED = "EXT_mesh_gpu_instancing"
 """A node's mesh at several places."""
 LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_")
-"""How the names of extensions begin that concern colours, textures and lights alone."""
+"""Prefixes of extensions that concern only colours, textures and lights."""
 COMPRESSED = (
     "KHR_draco_mesh_compression",
     "EXT_meshopt_compression",
@@ -41,13 +40,13 @@ TRIANGLES = 4
 
 @dataclass(frozen=True)
 class Gltf:
-    """A file's document, and the binary chunk behind it."""
+    """A file's document, and its binary chunk."""
 
     document: Json
     binary: bytes
 
     def notes(self) -> Iterator[str]:
-        """What is not read, and may move a triangle: a sentence each."""
+        """Describe parts that are not read and may move a triangle, a sentence each."""
         used = self.document.get("extensionsUsed", ())
         names = [str(name) for name in used if not _is_read(name) and name not in COMPRESSED]
         if names:
@@ -81,23 +80,26 @@ class Gltf:
                     yield name, _moved(place, corners), faces[:, ::-1] if mirrored else faces
 
     def _bends(self, node: Json) -> bool:
-        """Whether a node's mesh has a skin, or weights of morph targets."""
+        """Return whether a node's mesh has a skin, or weights of morph targets."""
         mesh = self.document["meshes"][node["mesh"]] if "mesh" in node else {}
         return "skin" in node or any(node.get("weights") or mesh.get("weights", ()))
 
     def _placed(self) -> Iterator[tuple[Json, Floats]]:
-        """Each node of the scene, with the matrix (4, 4) from it to the world."""
+        """Walk the nodes of the scene, each with the matrix (4, 4) from it to the world."""
         nodes, scenes = self.document.get("nodes", []), self.document.get("scenes", [{}])
         roots = scenes[self.document.get("scene", 0)].get("nodes", [])
         seen = set[int]()
+        # a stack, since a file may nest deeper than Python recurses
         waiting = [(int(root), np.eye(4)) for root in reversed(roots)]
         while waiting:
             number, parent = waiting.pop()
+            # a loop would never end, and shared children multiply
             if number in seen:
                 raise BrokenError(f"node {number} has two parents; export it again")
             seen.add(number)
             node = nodes[number]
             if "matrix" in node:
+                # glTF writes matrices column by column
                 local = np.array(node["matrix"], float).reshape(4, 4).T
             else:
                 parts = (node.get(name) for name in ("translation", "rotation", "scale"))
@@ -107,7 +109,7 @@ class Gltf:
             waiting += [(int(child), parent @ local) for child in children]
 
     def _instances(self, node: Json) -> Floats:
-        """Matrices (n, 4, 4) to a node from each instance of its mesh."""
+        """Compute matrices (n, 4, 4) to a node from each instance of its mesh."""
         extension = node.get("extensions", {}).get(INSTANCED)
         if extension is None:
             return np.eye(4)[None]
@@ -118,14 +120,15 @@ class Gltf:
         return _matrices(*(None if name is None else self.numbers(name) for name in names))
 
     def _count(self, number: int) -> int:
-        """How many elements an accessor has."""
+        """Return the number of an accessor's elements. Raises BrokenError if it exceeds the
+        limit."""
         count: int = self.document["accessors"][number]["count"]
         if not 0 <= count <= 3 * MOST_TRIANGLES:
             raise BrokenError(f"accessor {number} has {short(count)} elements; simplify the file")
         return count
 
     def _faces(self, primitive: Json, corners: int) -> Ints:
-        """Triangles of a primitive (m, 3), as numbers of its corners."""
+        """Read triangles of a primitive (m, 3), as numbers of its corners."""
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
             raise BrokenError("has strips or fans of triangles; export it with separate triangles")
         if "indices" not in primitive:
@@ -133,8 +136,18 @@ class Gltf:
         return self.numbers(primitive["indices"]).astype(np.int64).reshape(-1, 3)
 
     def numbers(self, number: int) -> Floats:
-        """An accessor's values (count, components): normalised integers as the shares from -1 to 1
-        that they stand for, other integers as they are."""
+        """Read an accessor.
+
+        Args:
+            number: The accessor's number.
+
+        Returns:
+            (count, components): normalised integers as the numbers from -1 to 1 that they encode,
+            other integers as they are.
+
+        Raises:
+            BrokenError: If it is sparse, has no data, or lies in another file.
+        """
         accessor = self.document["accessors"][number]
         kind = np.dtype(COMPONENTS[accessor["componentType"]])
         shape = self._count(number), WIDTHS[accessor["type"]]
@@ -146,41 +159,51 @@ class Gltf:
         start, step = view.get("byteOffset", 0), view.get("byteStride", kind.itemsize * shape[1])
         content = self._buffer(view["buffer"])[start : start + view["byteLength"]]
         offset, steps = accessor.get("byteOffset", 0), (step, kind.itemsize)
-        values: Any = np.ndarray(shape, kind, content, offset, steps)  # which looks at its bounds
+        values: Any = np.ndarray(
+            shape, kind, content, offset, steps
+        )  # raises if it would leave the buffer
         if accessor.get("normalized") and kind.kind in "iu":
             return np.maximum(values / float(np.iinfo(kind).max), -1.0)
         return values.astype(float)
 
     def _buffer(self, number: int) -> bytes:
-        """The content of a buffer. No other file is read."""
+        """Return the content of a buffer. Raises BrokenError for one in another file."""
         buffer = self.document["buffers"][number]
         uri = buffer.get("uri")
         if uri is None and number == 0:
             return self.binary
-        where = "nowhere" if uri is None else f"in another file, {short(uri)}"
-        raise BrokenError(f"has numbers {where}; export it as one .glb")
+        location = "nowhere" if uri is None else f"in another file, {short(uri)}"
+        raise BrokenError(f"has numbers {location}; export it as one .glb")
 
 
 def read_gltf(content: bytes) -> Gltf:
-    """The parts of a binary glTF file.
+    """Split a binary glTF file into its parts.
+
+    Args:
+        content: The file's bytes.
+
+    Returns:
+        Document and binary chunk.
 
     Raises:
-        BrokenError: It is none, it is cut off, or it requires an extension that is not read.
+        BrokenError: If it is not glTF 2.0, is cut off, or requires an extension that is not read.
     """
     if len(content) < 20 or content[:4] != b"glTF" or content[16:20] != b"JSON":
         raise BrokenError("does not begin as a binary glTF file does; export it as .glb")
     version, length, size = struct.unpack_from("<III", content, 4)
     if version != 2:
         raise BrokenError(f"is glTF {version}; expected glTF 2.0")
+    # bytes behind the file's own length are ignored
     if len(content) < length or length < 20 + size:
         raise BrokenError(f"has {len(content)} of {max(length, 20 + size)} bytes; copy it again")
-    document, at, binary = json.loads(content[20 : 20 + size]), 20 + size, b""
-    while at + 8 <= length:
-        size, kind = struct.unpack_from("<I4s", content, at)
+    document, offset, binary = json.loads(content[20 : 20 + size]), 20 + size, b""
+    # chunks of other types are skipped, as the specification demands
+    while offset + 8 <= length:
+        size, kind = struct.unpack_from("<I4s", content, offset)
         if kind == b"BIN\0":
-            binary = content[at + 8 : at + 8 + size]
+            binary = content[offset + 8 : offset + 8 + size]
             break
-        at += 8 + size
+        offset += 8 + size
     for name in document.get("extensionsRequired", ()):
         if name in COMPRESSED:
             raise BrokenError(
@@ -199,8 +222,8 @@ def _is_read(name: str) -> bool:
 
 
 def _matrices(translation: Floats | None, rotation: Floats | None, scale: Floats | None) -> Floats:
-    """Matrices (n, 4, 4) that scale by (n, 3), then turn by quaternions (n, 4), x y z w, then move
-    by (n, 3); None changes nothing."""
+    """Compose matrices (n, 4, 4): scale by (n, 3), then rotate by quaternions (n, 4), x y z w, then
+    move by (n, 3); None changes nothing."""
     (count,) = {len(part) for part in (translation, rotation, scale) if part is not None} or {1}
     matrices = np.tile(np.eye(4), (count, 1, 1))
     if rotation is not None:
@@ -215,5 +238,5 @@ def _matrices(translation: Floats | None, rotation: Floats | None, scale: Floats
 
 
 def _moved(matrix: Floats, points: Floats) -> Floats:
-    """Points (n, 3) moved by a matrix (4, 4)."""
+    """Transform points (n, 3) by a matrix (4, 4)."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -1,10 +1,9 @@
-"""Semantics: which geom every return and every voxel is of, and of which class that geom is."""
+"""Semantics: the geom of every return and every voxel, and that geom's class."""
 
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
@@ -14,55 +13,53 @@ from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.grid import Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
-from lidarsim.solids.shapes import Solids, local
-from scenegen.errors import GenerationError, RecipeError, short
-from scenegen.limits import MOST_CLASSES
+from lidarsim.solids import Solids, local
+from scenegen.base.errors import GenerationError, RecipeError, short
+from scenegen.base.limits import MOST_CLASSES
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
-from scenegen.worlds.classes import CLASSES, OTHER
+from scenegen.worlds.classes import CLASSES, NOTHING, OTHER, By, Labels
 from scenegen.worlds.drawing import SHAPES
 from scenegen.worlds.world import World
 
-By: TypeAlias = Literal["class", "name", "material", "group"]
-"""What decides the class of a geom."""
-NOTHING = "nothing"
-"""Class 0: of a ray without a return, and of a voxel that is not occupied."""
 GROUPS = tuple(f"group {n}" for n in range(mujoco.mjNGROUP))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Labels:
-    """What decides the class of a geom, and what classes there are.
+def classes_of(world: World, labels: Labels) -> NDArray[np.uint16]:
+    """Determine the class of every geom of a world.
 
-    By `name`, it is the geom's name without the numbers that end its parts, so that ``crate_07`` is
-    a ``crate``, and ``beech_01_bough`` a ``beech_bough``; by `material`, it is the name of its
-    material in the same way. A geom without such a name is of the class of its shape. By `group`,
-    it is MuJoCo's group; by `class`, it is one of `scenegen.worlds.classes.CLASSES`, the same
-    for all kinds of worlds: the material's, and "other" for a geom whose material has another
-    name.
+    Args:
+        world: The world.
+        labels: The rule, and the classes.
+
+    Returns:
+        (ngeom,): numbers of classes.
+
+    Raises:
+        GenerationError: If a geom is of none of the classes.
     """
-
-    by: By
-    classes: tuple[str, ...]
-    """Names of classes; a class is its place in here, and the first is `NOTHING`."""
-
-    def of(self, world: World) -> NDArray[np.uint16]:
-        """The class of every geom of a world, (ngeom,). Raises GenerationError for one that is none
-        of `classes`."""
-        place = {name: number for number, name in enumerate(self.classes)}
-        named = class_names(world.model, self.by)
-        for geom, name in enumerate(named):
-            if name not in place:
-                raise GenerationError(
-                    f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
-                    "was not known before; name it in the kind's `classes`, or give --labels group"
-                )
-        return np.array([place[name] for name in named], np.uint16)
+    place = {name: number for number, name in enumerate(labels.classes)}
+    named = class_names(world.model, labels.by)
+    for geom, name in enumerate(named):
+        if name not in place:
+            raise GenerationError(
+                f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
+                "was not known before; name it in the kind's `classes`, or give --labels group"
+            )
+    return np.array([place[name] for name in named], np.uint16)
 
 
 def class_names(model: mujoco.MjModel, by: By) -> list[str]:
-    """The name of every geom's class; see `Labels`."""
+    """Name the class of every geom; see `Labels`.
+
+    Args:
+        model: The compiled world.
+        by: The rule.
+
+    Returns:
+        ngeom names.
+    """
     if by == "group":
         return [GROUPS[int(group)] for group in model.geom_group]
     names = [model.mat(int(number)).name if number >= 0 else "" for number in model.geom_matid]
@@ -80,11 +77,23 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
 
 
 def labels_by(by: By, named: Iterable[str]) -> Labels:
-    """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises
-    GenerationError, and RecipeError where `by` is no way to tell them."""
+    """Make the labels of worlds.
+
+    Args:
+        by: The rule.
+        named: Names of classes that geoms have besides their shapes.
+
+    Returns:
+        The labels.
+
+    Raises:
+        GenerationError: If there are too many classes.
+        RecipeError: If there is no such rule.
+    """
     if by not in get_args(By):
         raise RecipeError(f"labels = {by!r}: expected one of {', '.join(get_args(By))}")
     fixed = {"group": GROUPS, "class": CLASSES}
+    # sorted, so that numbers do not depend on the order of worlds
     known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
         raise GenerationError(
@@ -96,24 +105,28 @@ def labels_by(by: By, named: Iterable[str]) -> Labels:
 def label_fields(
     sample: Mapping[str, Any], world: World, lidar: Sensor, grid: GridSpec, labels: Labels
 ) -> dict[str, NDArray[Any]]:
-    """The fields of a sample that say which geom and class its returns and voxels are of.
+    """Compute the fields of a sample with the geom and class of its returns and voxels.
 
     A return is of the geom that its ray meets first, whatever noise made of its range.
 
     Args:
         sample: Its other fields by name: position, quaternion, ranges, occupancy and origin.
-        world: The world that it is of.
+        world: The sample's world.
         lidar: The sensor.
         grid: The map's grid.
-        labels: What decides the class of a geom.
+        labels: The rule, and the classes.
+
+    Returns:
+        return_geom, return_class (*lidar.shape), voxel_geom and voxel_class (*grid.shape).
 
     Raises:
-        GenerationError: A geom is of none of the classes.
+        GenerationError: If a geom is of none of the classes.
     """
     # -1, no geom, is the last
-    classes = np.append(labels.of(world), [0]).astype("<u2")
+    classes = np.append(classes_of(world, labels), [0]).astype("<u2")
     directions = rotate(sample["quaternion"], lidar.directions_body)
     origin = np.asarray(sample["position"])[None]
+    # of our engines, only this one tells which geom a ray meets
     engine: Any = world.caster(AnalyticEngine.of)
     met = engine.hits(origin, directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
@@ -131,16 +144,24 @@ NONE = -1
 
 
 def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -> NDArray[np.int32]:
-    """The geom (*grid.shape) that every occupied voxel belongs to, `NONE` elsewhere; `origin` (3,)
-    is the grid's least corner, world metres.
+    """Find the geom that every occupied voxel belongs to.
 
-    It is the geom whose filled solid lies nearest to the voxel's centre, at 0 where it holds the
+    It is the geom whose filled solid lies nearest to the voxel's centre, at 0 if it holds the
     centre; of several at the same distance the one with the lowest number.
+
+    Args:
+        solids: The world.
+        occupancy: (*grid.shape).
+        grid: The map's grid.
+        origin: (3,): its least corner, metres, in the world.
+
+    Returns:
+        (*grid.shape): numbers of geoms; `NONE` where not occupied.
     """
     origin, voxel_m = np.asarray(origin, float), grid.voxel_m
     # a cube that a solid touches has its centre no farther off
     reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
-    # less than any distance where nothing is, so that no geom claims it
+    # below any distance in free voxels, so that no geom claims them
     nearest, owner = np.where(occupancy, np.inf, -1.0), np.full(grid.shape, NONE, np.int32)
     forms = solids.shape, solids.size, solids.position, solids.rotation
     boxes = solids.lower - reach, solids.upper + reach
@@ -152,6 +173,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
         if filled:
             held = np.zeros(grid.shape, bool)
             inside_columns(triangles, origin, voxel_m, held)
+            # free voxels have -1, and stay without an owner
             held &= (nearest > 0.0) | ((nearest == 0.0) & (geom < owner))
             nearest[held], owner[held] = 0.0, geom
     return owner
@@ -159,7 +181,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
 
 @kernel
 def _claim(gap, geom, place, nearest, owner):
-    """Give a voxel to a geom that is nearer than its owner, or as near and of a lower number."""
+    """Give a voxel to a geom that is nearer than its owner, or equally near with a lower number."""
     if gap < nearest[place] or (gap == nearest[place] and geom < owner[place]):
         nearest[place], owner[place] = gap, geom
 
@@ -169,16 +191,16 @@ def _claim_primitives(forms, boxes, geoms, origin, voxel_m, nearest, owner):
     """Claim the voxels in primitives' `boxes` by the distances of their centres."""
     shape, size, position, rotation = forms
     for n in range(len(shape)):
-        at = position[n]
+        centre = position[n]
         i0, i1, j0, j1, k0, k1 = spans(boxes[0][n], boxes[1][n], origin, voxel_m, nearest.shape)
         first = origin + (np.array([i0, j0, k0]) + 0.5) * voxel_m
         for i in range(i0, i1):
-            dx = first[0] + (i - i0) * voxel_m - at[0]
+            dx = first[0] + (i - i0) * voxel_m - centre[0]
             for j in range(j0, j1):
-                dy = first[1] + (j - j0) * voxel_m - at[1]
+                dy = first[1] + (j - j0) * voxel_m - centre[1]
                 for k in range(k0, k1):
                     if nearest[i, j, k] >= 0.0:
-                        dz = first[2] + (k - k0) * voxel_m - at[2]
+                        dz = first[2] + (k - k0) * voxel_m - centre[2]
                         x, y, z = local(rotation[n], dx, dy, dz)
                         gap = distance(shape[n], size[n], x, y, z)
                         _claim(gap, geoms[n], (i, j, k), nearest, owner)

@@ -1,4 +1,4 @@
-"""How a robot maps: which scans of its flight make a map, how its sensor is held, and where the map
+"""Mapping by a robot: which scans of a flight make a map, how the sensor is held, where the map
 lies."""
 
 import math
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidarsim.fusion import Fusion
 from lidarsim.parameters import MOST_LENGTH_M, Checked, number
-from scenegen.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
+from scenegen.base.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from lidarsim import GridSpec, Pose, Sensor
@@ -56,7 +56,7 @@ class Mapper(Fusion):
         )
 
     def __str__(self) -> str:
-        """In words: "of 5 scans, 0.5 m apart, by visibility, around a level sensor"."""
+        """Describe it: "of 5 scans, 0.5 m apart, by visibility, around a level sensor"."""
         scans, held, place = "1 scan", "a level sensor", "around"
         if self.scans > 1:
             scans = f"{self.scans} scans, {self.scan_spacing_m:g} m apart"
@@ -72,11 +72,22 @@ class Mapper(Fusion):
         return not any(self.map_ahead_m)
 
     def origin(self, grid: "GridSpec", pose: "Pose") -> Any:
-        """The least corner (3,) in the world of the map of a sensor at `pose`, metres. Raises
-        ValueError for a sensor that lies on its head, whose heading nobody can tell."""
+        """Compute the least corner of a map.
+
+        Args:
+            grid: The map's grid.
+            pose: The sensor's pose.
+
+        Returns:
+            (3,), metres, in the world.
+
+        Raises:
+            ValueError: If the sensor is upside down, so that its heading is undefined.
+        """
         if self.centred:
             return grid.origin_at(pose.position)
         w, _, _, z = pose.quaternion.tolist()
+        # the heading is the yaw of the quaternion's part about the vertical
         length = w * w + z * z
         if not length > 0.0:
             raise ValueError(
@@ -90,9 +101,19 @@ class Mapper(Fusion):
         )
 
     def check_reach(self, grid: "GridSpec", max_range_m: float, rays: int, most_rays: int) -> None:
-        """Raise ValueError for a map that no ray reaches, and for more than `most_rays` in all
-        scans of a sample."""
+        """Check that rays reach the map, and that a sample's scans are not too large.
+
+        Args:
+            grid: The map's grid.
+            max_range_m: The sensor's range, metres.
+            rays: Rays of one scan.
+            most_rays: The limit for all scans of a sample.
+
+        Raises:
+            ValueError: If no ray reaches the map, or the scans exceed the limit.
+        """
         for ahead, extent in zip(self.map_ahead_m, grid.extent_m, strict=True):
+            # the map's nearest face along this axis
             if not abs(ahead) - extent / 2 < max_range_m:
                 raise ValueError(
                     f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's "

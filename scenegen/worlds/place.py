@@ -1,5 +1,7 @@
-"""A real place as a world: its map of voxels, archived as the file that it came in, and flights
-through what is free there."""
+"""A real place as a world: its map of voxels, archived as the file that it came in.
+
+Flights go through its free space. Maps come as OctoMap's files (Hornung et al. 2013), trees of
+occupied and free cubes: `.bt` with states only, `.ot` with log-odds; or as .npz."""
 
 import functools
 import hashlib
@@ -16,16 +18,147 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
+from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
-from scenegen.cloud_arrays import encode_npz, read_npz
-from scenegen.errors import SceneError, printable
-from scenegen.files import read_bounded, sha256_of
-from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.base.errors import SceneError, printable
+from scenegen.base.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import Clearance
+from scenegen.worlds.clouds.write import encode_npz, read_npz
 from scenegen.worlds.mapping import Known
-from scenegen.worlds.octomap import check_voxel, parse_octomap
+
+LEVELS = 16
+"""Levels of a tree, as OctoMap has them."""
+HALF = 1 << (LEVELS - 1)
+"""Voxels from the tree's least corner to the world's origin, along each axis."""
+MAX_HEADER_BYTES = 64 << 10
+"""The most bytes of a header."""
+FAULTS = {
+    1: "ends within its tree; copy it again",
+    2: f"has a tree of more than {LEVELS} levels; write it with OctoMap's own depth",
+    3: "goes on behind its tree; copy it again",
+    4: "has log-odds that are NaN; map the place again",
+}
+
+
+def parse_octomap(content: bytes, name: str) -> VoxelMap:
+    """Parse a `.bt` or `.ot` file.
+
+    Args:
+        content: Its bytes.
+        name: Its name, for messages.
+
+    Returns:
+        The map.
+
+    Raises:
+        SceneError: If it is not an OctoMap, or damaged, empty or too large.
+    """
+    first, _, _ = content[:MAX_HEADER_BYTES].partition(b"\n")
+    head, mark, tree = content.partition(b"\ndata\n")
+    magics = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
+    if first.strip() not in magics or not mark or len(head) > MAX_HEADER_BYTES:
+        raise SceneError(f"{name}: not an OctoMap; expected a .bt or .ot file of OctoMap 1.x")
+    lines = (line.split(None, 1) for line in head.decode("latin-1").splitlines())
+    header = {words[0]: words[1].strip() for words in lines if len(words) == 2}
+    if header.get("id") != "OcTree":
+        raise SceneError(
+            f"{name}: holds a tree of type {printable(header.get('id', 'none'))[:40]}, expected "
+            "OcTree; convert it with OctoMap's convert_octree"
+        )
+    try:
+        voxel_m = float(header.get("res", "nan"))
+    except ValueError:
+        # `check_voxel` refuses it
+        voxel_m = float("nan")
+    check_voxel(voxel_m, name)
+    data, is_binary = np.frombuffer(tree, np.uint8), magics[first.strip()]
+    bounds = np.array([[2 * HALF] * 3, [0] * 3])
+    nothing = np.empty((0, 0, 0), np.uint8)
+    # twice: the size of the array is known only after a first pass
+    fault = _fill(data, is_binary, bounds, nothing)
+    if fault:
+        raise SceneError(f"{name}: {FAULTS[fault]}")
+    shape = bounds[1] - bounds[0]
+    if not (shape > 0).all():
+        raise SceneError(f"{name}: an empty map; nothing in it is known")
+    if (count := int(shape.prod())) > MOST_PLACE_VOXELS:
+        raise SceneError(
+            f"{name}: {' × '.join(map(str, shape))} voxels, {count} in all, expected "
+            f"{MOST_PLACE_VOXELS} at most; cut the map, or make it coarser"
+        )
+    states = np.zeros(shape, np.uint8)
+    _fill(data, is_binary, bounds, states)
+    # trees are centred on the world's origin
+    return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
+
+
+def check_voxel(voxel_m: float, name: str) -> None:
+    """Check a voxel's edge.
+
+    Args:
+        voxel_m: Metres.
+        name: The file's name, for the message.
+
+    Raises:
+        SceneError: If it is not from 0.001 to 1000 m.
+    """
+    if not 1e-3 <= voxel_m <= 1e3:
+        raise SceneError(f"{name}: a voxel of {voxel_m:g} m; expected from 0.001 to 1000 metres")
+
+
+@kernel
+def _mark(x, y, z, size, state, bounds, states):
+    """Put a cube of `size` voxels into `states`; if these are empty, into `bounds` (2, 3)."""
+    if states.size == 0:
+        for axis, low in enumerate((x, y, z)):
+            bounds[0, axis] = min(bounds[0, axis], low)
+            bounds[1, axis] = max(bounds[1, axis], low + size)
+    else:
+        i, j, k = x - bounds[0, 0], y - bounds[0, 1], z - bounds[0, 2]
+        states[i : i + size, j : j + size, k : k + size] = state
+
+
+@kernel
+def _fill(data, is_binary, bounds, states):
+    """Read a tree, depth first, into `bounds` or `states`, see `_mark`.
+
+    A node of a `.bt` file, if `is_binary`, is 16 bits, two for each child: 0 unknown, 1 free, 2
+    occupied, 3 a node of its own. One of an `.ot` file is its log-odds in four bytes, and one byte
+    of flags of its children; without any it is a leaf, occupied from log-odds of 0 on. Returns the
+    number of a fault in `FAULTS`, 0 for none."""
+    waiting, offset, length = [(0, 0, 0, 2 * HALF)], 0, 2 if is_binary else 5
+    while len(waiting) > 0:
+        x, y, z, size = waiting.pop()
+        if offset + length > len(data):
+            return 1
+        bits = np.int64(data[offset]) | np.int64(data[offset + 1]) << 8
+        if not is_binary:
+            bits = np.int64(0)
+            for child in range(8):
+                # as in a .bt file: 3 for each child, a node of its own
+                bits |= (np.int64(data[offset + 4]) >> child & 1) * 3 << 2 * child
+            odds = data[offset : offset + 4].view(np.float32)[0]
+            if bits == 0 and np.isnan(odds):
+                return 4
+            if bits == 0:
+                _mark(x, y, z, size, OCCUPIED if odds >= 0.0 else FREE, bounds, states)
+        offset += length
+        half = size // 2
+        if half == 0 and (is_binary or bits > 0):
+            return 2
+        for turn in range(8):
+            child = 7 - turn  # the first one is taken from the stack first
+            state = bits >> 2 * child & 3
+            i, j, k = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
+            if state == 3:
+                waiting.append((i, j, k, half))
+            elif state > 0:
+                _mark(i, j, k, half, state, bounds, states)
+    return 0 if offset == len(data) else 3
+
 
 DOCUMENT = (
     '<mujoco model="map">\n  <custom>\n    <text name="voxel_map" data="{}"/>\n  </custom>\n'
@@ -36,7 +169,7 @@ NAMED = re.compile(re.escape(DOCUMENT).replace(r"\{\}", r"([0-9a-f]{16}\.(?:bt|o
 TRIES = 1000
 """Points tried to find one where a flight may be."""
 LOCAL = 1.5
-"""Flights keep within so many times their least length of that point: a map may be far larger."""
+"""Flights stay within their least length times this of that point: a map may be far larger."""
 PARTS: dict[str, tuple[np.dtype[Any], int]] = {
     "states": (np.dtype("u1"), 3),
     "voxel_m": (np.dtype("<f8"), 0),
@@ -47,19 +180,19 @@ PARTS: dict[str, tuple[np.dtype[Any], int]] = {
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A map of a real place, for a sensor to fly through what is free in it. It stands where a
-    `scenegen.worlds.world.World` does."""
+    """A map of a real place, through whose free space a sensor flies. It has the interface of a
+    `scenegen.worlds.world.World`."""
 
     name: str
-    """What the map's file is called in an archive."""
+    """Name of the map's file in an archive."""
     content: bytes
     """That file."""
     unseen: tuple[str, ...] = ()
     """Nothing: a map has no geoms."""
     albedo: None = None
-    """A map does not know what reflects how much."""
+    """Unknown: a map holds no reflectivities."""
     opened: bool = False
-    """Whether what is unknown counts as free, and not as solid."""
+    """Whether unknown space counts as free, and not as solid."""
 
     @property
     def mjcf(self) -> bytes:
@@ -89,8 +222,16 @@ class Place:
         return PlaceClearance(self.voxels, self.opened)
 
     def room(self, radius_m: float, length_m: float, *, rng: np.random.Generator) -> Floats:
-        """Where to plan the next flight, (2, 3) metres: about a random free point, as far as a
-        flight of `length_m` may need."""
+        """Choose a box in which to plan the next flight, about a random free point.
+
+        Args:
+            radius_m: Clearance of that point, metres.
+            length_m: The flight's least length, metres.
+            rng: Draws the point.
+
+        Returns:
+            Least and greatest corner, (2, 3), metres.
+        """
         bounds, clearance = self.flight_bounds, self.clearance
         for point in rng.uniform(bounds[0], bounds[1], (TRIES, 3)):
             if clearance.at(*point) >= radius_m:
@@ -99,66 +240,120 @@ class Place:
         return bounds
 
     def caster(self, engine: object) -> VoxelEngine:
-        """What casts rays: a `VoxelEngine`, whatever `engine` others are cast by. A process keeps
-        the last two."""
+        """Return the `VoxelEngine` of the map, whatever `engine` other worlds use. A process caches
+        two."""
         return _engine(self.content, self.name)
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
-        """The fields of a sample that say what is there: `occupancy`, and `known` where what is
-        unknown does not count as free."""
+        """Compute the ground truth of a sample.
+
+        Args:
+            grid: The sample's grid.
+            origin: (3,): its least corner in the world, metres.
+
+        Returns:
+            `occupancy`; and `known`, unless unknown space counts as free.
+        """
         occupancy, known = resample(self.voxels, grid, origin)
         return {"occupancy": occupancy} | ({} if self.opened else {"known": known})
 
     def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
-        """Whether so few rays of a sensor cross unknown space that a scan of it may be kept."""
+        """Tell whether few enough rays cross unknown space for a scan to be kept.
+
+        Args:
+            pose: The sensor's.
+            lidar: The sensor.
+            known: The limits.
+
+        Returns:
+            Whether the scan may be kept.
+        """
         rays = rotate(pose.quaternion, lidar.directions_body)[None]
         limits = known.most_unknown_m, known.most_marked_share
         return self.caster(None).mostly_known(pose.position[None], rays, lidar.max_range_m, *limits)
 
     def unknown_m(self, scan: Scan) -> Floats:
-        """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
+        """Compute metres of unknown space that each ray of a scan crosses before it returns,
+        (*rays)."""
         start, rays, reach = scan.pose.position[None], scan.directions[None], scan.lidar.max_range_m
         return self.caster(None).cross(start, rays, reach)[1][0]
 
 
 def read_place(path: str | Path) -> Place:
-    """The place of a map file: OctoMap's `.bt` and `.ot`, or an `.npz` of `states`, `voxel_m` and
-    `origin`, as in `VoxelMap`. Raises SceneError for a file that holds no map, or nothing free."""
+    """Read a map file.
+
+    Args:
+        path: OctoMap's `.bt` and `.ot`, or an `.npz` of `states`, `voxel_m` and `origin`, as in
+            `VoxelMap`.
+
+    Returns:
+        The place.
+
+    Raises:
+        SceneError: If the file holds no map, or one without free space.
+    """
     path = Path(path)
     return place_of(read_bounded(path, MOST_ASSET_BYTES), path.suffix, str(path))
 
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
-    """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    found = Place(f"{sha256_of(content)[:16]}{suffix}", content)
+    """Make the place of a map file's content.
+
+    Args:
+        content: The file's bytes.
+        suffix: Its type, with the dot.
+        where: Its name, for messages.
+
+    Returns:
+        The place.
+
+    Raises:
+        SceneError: If the content is not a map, or one without free space.
+    """
+    # named by its content, so that archives hold a map once
+    place = Place(f"{sha256_of(content)[:16]}{suffix}", content)
     try:
-        bounds = found.flight_bounds
+        bounds = place.flight_bounds
     except SceneError as error:
-        raise SceneError(str(error).replace(found.name, where, 1)) from None
+        # the parser names the archive's file, the user knows another
+        raise SceneError(str(error).replace(place.name, where, 1)) from None
     if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
-    return found
+    return place
 
 
 def named_map(document: bytes) -> str:
-    """The file that a document of an archive names as its map; "" for a world of solids."""
-    found = NAMED.fullmatch(document)
-    return found[1].decode() if found else ""
+    """Return the map file that an archived document names; "" for a world of solids."""
+    match = NAMED.fullmatch(document)
+    return match[1].decode() if match else ""
 
 
 def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> Place:
-    """The place of a document for which `named_map` has a name. Raises SceneError, naming `where`,
-    where its file is missing or holds no map."""
+    """Read the place of an archived document for which `named_map` has a name.
+
+    Args:
+        document: The MJCF.
+        assets: The files of the archive by name.
+        where: The document's name, for messages.
+
+    Returns:
+        The place.
+
+    Raises:
+        SceneError: If the map's file is missing, or holds no map.
+    """
     name = named_map(document)
     if name not in assets:
         raise SceneError(f"{where}: its map {name} is missing")
+    # parsed now, so that a damaged file is refused here
     _engine(assets[name], name)
     return Place(name, assets[name])
 
 
 def map_digest(voxels: VoxelMap) -> bytes:
-    """SHA-256 of what a map says, whatever file it came in."""
+    """Compute the SHA-256 of a map's content, independent of its file's format."""
     digest = hashlib.sha256(np.array([voxels.voxel_m, *voxels.origin], "<f8").tobytes())
+    # cells in a row do not tell their shape
     digest.update(repr(voxels.states.shape).encode())
     digest.update(np.ascontiguousarray(voxels.states).data)
     return digest.digest()
@@ -171,22 +366,33 @@ def _engine(content: bytes, name: str) -> VoxelEngine:
 
 
 def parse_npz(content: bytes, name: str) -> VoxelMap:
-    """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
-    and `origin`. Raises SceneError, naming `name`."""
+    """Parse an .npz map.
+
+    Args:
+        content: The file's bytes, with arrays `states` (uint8, 0 unknown, 1 free, 2 occupied),
+            `voxel_m` and `origin`.
+        name: Its name, for messages.
+
+    Returns:
+        The map.
+
+    Raises:
+        SceneError: If it is not such a file.
+    """
     try:
-        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
-    except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
+        arrays = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
+    except Exception as error:  # errors of zipfile and zlib, and any that a crafted file may raise
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
-    for array, (part, (dtype, dimensions)) in zip(found, PARTS.items(), strict=True):
+    for array, (part, (dtype, dimensions)) in zip(arrays, PARTS.items(), strict=True):
         if array.dtype != dtype or array.ndim != dimensions:
             raise SceneError(
                 f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
                 "axes"
             )
-    states, voxel_m, origin = np.ascontiguousarray(found[0]), float(found[1]), found[2]
+    states, voxel_m, origin = np.ascontiguousarray(arrays[0]), float(arrays[1]), arrays[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
         raise SceneError(
@@ -195,11 +401,22 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     return VoxelMap(states, voxel_m, origin)
 
 
-def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
-    """The content of an .npz map, with `more` arrays by name: the same for the same map. Raises
-    SceneError, naming `where`, for more than a map's file may hold."""
+def encode_map(voxels: VoxelMap, where: str, **extra: NDArray[Any]) -> bytes:
+    """Encode a map as .npz: the same bytes for the same map.
+
+    Args:
+        voxels: The map.
+        where: The file's name, for messages.
+        more: Further arrays by name.
+
+    Returns:
+        The file's bytes.
+
+    Raises:
+        SceneError: If they exceed the limit of a map's file.
+    """
     arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
-    content = encode_npz(arrays | more, level=6)
+    content = encode_npz(arrays | extra, level=6)
     if len(content) > MOST_ASSET_BYTES:
         raise SceneError(
             f"{where}: its map takes {len(content)} bytes, expected {MOST_ASSET_BYTES} at most; "
@@ -209,23 +426,31 @@ def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
 
 
 def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
-    """The first of the cells that are `wanted` along each axis, and one more than the last,
-    (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
+    """Find the box around some cells, layer by layer: a map is too large for a copy.
+
+    Args:
+        cells: An array of any axes.
+        wanted: Marks the cells of a layer that count.
+
+    Returns:
+        (2, axes): the first such cell along each axis, and one more than the last; zeros if there
+        is none.
+    """
     rows, seen = np.zeros(len(cells), bool), np.zeros(cells.shape[1:], bool)
     for n, layer in enumerate(cells):
-        here = wanted(layer)
-        rows[n] = here.any()
-        seen |= here
+        marked = wanted(layer)
+        rows[n] = marked.any()
+        seen |= marked
     box = np.zeros((2, cells.ndim), np.int64)
     for axis in range(cells.ndim) if rows.any() else ():
-        others = tuple(other for other in range(seen.ndim) if other != axis - 1)
-        line = seen.any(axis=others) if axis else rows
+        across = tuple(n for n in range(seen.ndim) if n != axis - 1)
+        line = seen.any(axis=across) if axis else rows
         box[:, axis] = np.flatnonzero(line)[[0, -1]] + [0, 1]
     return box
 
 
 class PlaceClearance(Clearance):
-    """Distances to the voxels that are not free, or to the occupied ones alone where the map is
+    """Distances to the voxels that are not free, or only to the occupied ones if the map is
     `opened`."""
 
     def __init__(self, voxels: VoxelMap, opened: bool):

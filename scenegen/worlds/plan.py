@@ -1,5 +1,5 @@
-"""ROS's occupancy grids, as map_server and Nav2 write them: a picture of a floor's plan, whose
-cells become columns of voxels."""
+"""ROS's occupancy grids, as map_server and Nav2 write them: a picture of a floor plan, whose cells
+become columns of voxels."""
 
 import io
 import math
@@ -11,36 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from scenegen.errors import SceneError, raised_as, short
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
-from scenegen.worlds.cloud import Survey, Surveyed
-from scenegen.worlds.octomap import check_voxel
-from scenegen.worlds.place import box_of
+from scenegen.base.errors import SceneError, raised_as, short
+from scenegen.base.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
+from scenegen.base.reading import read_bounded
+from scenegen.worlds.cloud import CloudMap, Survey
+from scenegen.worlds.place import box_of, check_voxel
 
 ENTRY = re.compile(r"^(\w+):(.*(?:\n\s*-\s.*)*)", re.MULTILINE)
 """A key of the YAML file, and its value: a word, or a list in either style."""
 PUNCTUATION = re.compile(r"\n\s*-\s|[\[\],\"']|(?:^|\s)#.*")
-"""What stands between and behind values."""
+"""Separators between values, and comments."""
 UNKNOWN_SHADE = 205
-"""How savers of ROS write what is unknown, whatever `free_thresh` they write beside it: with Nav2's
-0.25, a loader would take it for free."""
+"""The shade of unknown cells in maps that ROS saves, whatever their `free_thresh`: with Nav2's,
+0.25, a loader would count them as free."""
 SAVED = {0, UNKNOWN_SHADE, 254, 255}
-"""The shades in the pictures that they write, and the white of who edits these."""
+"""The shades in such pictures, and an editor's white."""
 FLAGS = {"0": False, "1": True, "false": False, "true": True}
-"""What `negate` may be."""
+"""Values of `negate`."""
 
 
-def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
-    """The map of a .yaml file and its picture, `.pgm` or `.png`, as large as what is known in it.
+def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
+    """Read the map of a .yaml file and its picture, `.pgm` or `.png`, cropped to its known cells.
 
-    A cell is occupied, free or unknown by the file's thresholds, as map_server's mode `trinary` has
-    it. Each becomes a column of cubes from the floor, z = 0, to `height_m`, metres. Below those
-    that are known lies a layer of occupied ones, the floor.
+    A cell is occupied, free or unknown by the file's thresholds, as in map_server's mode `trinary`.
+    Each becomes a column of cubes from the floor, z = 0, to `height_m`. Below the known ones lies a
+    layer of occupied cubes, the floor.
+
+    Args:
+        path: The .yaml file.
+        height_m: Height of the walls, metres.
+
+    Returns:
+        The map.
 
     Raises:
-        SceneError: The file is no such map, it is turned, or too large at that height.
-        DatasetError: A file cannot be read.
+        SceneError: If the file is not such a map, it is turned, or too large at that height.
+        DatasetError: If a file cannot be read.
     """
     text = read_bounded(path, MOST_RECIPE_BYTES).decode("latin-1")
     header = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
@@ -63,10 +69,12 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
         )
     if header.get("mode", "trinary") != "trinary":
         raise SceneError(f"{path}: mode {short(header['mode'])}, expected trinary; save it as such")
+    # occupancy by shade: black is occupied unless negated
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
     shades = _shades(image)
     present = set(np.unique(shades).tolist())
+    # only a picture with no other shades is surely a saver's
     saved = not negate and UNKNOWN_SHADE in present and present <= SAVED
     if saved:
         states[UNKNOWN_SHADE] = UNKNOWN
@@ -86,7 +94,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     corner = [x + row * voxel_m, y + column * voxel_m, -voxel_m]
     cells = f"read: {shades.size:,} cells of {voxel_m:g} m, {np.count_nonzero(plan):,} known"
     shade = f", shade {UNKNOWN_SHADE} unknown" if saved else ""
-    return Surveyed(
+    return CloudMap(
         VoxelMap(columns_up, voxel_m, np.array(corner)),
         np.zeros(3),
         int(np.count_nonzero(plan)),
@@ -95,14 +103,14 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
 
 
 def _shades(path: Path) -> NDArray[np.uint8]:
-    """A picture's pixels (rows, columns), 0 black to 255 white. Raises SceneError."""
+    """Read a picture's pixels (rows, columns), 0 black to 255 white. Raises SceneError."""
     from PIL import Image
 
     expected = (
         ": expected a grey picture of 8 bits, .pgm or .png, without alpha, of "
         f"{MOST_CELLS} cells at most"
     )
-    # Pillow's errors, and what else a crafted file brings
+    # Pillow's errors, and any that a crafted file raises
     with raised_as(SceneError, f"{path}: ", expected, of=Exception):
         content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
         with (

@@ -1,5 +1,4 @@
-"""A world from an MJCF file of anybody's: its parts are read where they can do no harm, and made
-self-contained."""
+"""Worlds from users' files: MJCF, meshes and maps, read with limits and made self-contained."""
 
 import io
 import re
@@ -12,14 +11,13 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_TRIANGLES
-from lidarsim.solids.model import solids_of, visible_geoms
-from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
-from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.worlds import CLOUDS, MAPS, MESHES, WORLD_FILES
+from lidarsim.solids import HFIELD, MESH, PLANE, Solids, solids_of, visible_geoms
+from scenegen.base.errors import BrokenError, DatasetError, SceneError, printable, raised_as
+from scenegen.base.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
+from scenegen.base.paths import CLOUDS, MAPS, MESHES, WORLD_FILES
+from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import Survey, map_clouds
-from scenegen.worlds.drawing import flatten, least_memory
+from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
@@ -27,14 +25,14 @@ from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
 REPLICATE = re.compile(r"<(/?)replicate\b(?:[^>]*?\bcount\s*=\s*[\"'](\d+)[\"'])?[^>]*?(/?)>")
-"""Whether it is an element's end, its count, and whether nothing is within."""
+"""Its groups: a slash at an element's end, its count, and a slash if it is empty."""
 INCLUDE = re.compile(r"<include\s+file\s*=\s*([\"'])(.*?)\1")
 COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 PART = "<mujocoinclude"
 """Root of a file that only others include."""
-MOST_MOVED = 1e-6
-"""How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
-as much again: what float32 vertices keep."""
+MAX_SHIFT = 1e-6
+"""Tolerance of a solid's place, metres, and as much again for each metre of the world's reach: the
+precision of float32 vertices."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,9 @@ class Scene:
     unseen: tuple[str, ...] = ()
     """Geoms that rays cannot see."""
     notes: tuple[str, ...] = ()
-    """What was left out or taken otherwise than one might expect: a sentence each."""
+    """Parts that were left out, or read otherwise than one might expect: a sentence each."""
     geometry: bytes = b""
-    """What tells its solids from those of other worlds: their `geometry_digest`."""
+    """The `geometry_digest` of its solids."""
 
     @property
     def is_map(self) -> bool:
@@ -59,7 +57,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Reading:
-    """What became of one file."""
+    """The result of reading one file."""
 
     path: Path
     outcome: Scene | SceneError | None
@@ -69,7 +67,15 @@ class Reading:
 
 
 def read_file(path: Path, *, materials: bool = False) -> Reading:
-    """Read one file; see `load_scene`. What is wrong with it is an outcome, too."""
+    """Read one file; see `load_scene`.
+
+    Args:
+        path: The file.
+        materials: Whether the names of materials are kept.
+
+    Returns:
+        The reading; an error is an outcome, too.
+    """
     includes: frozenset[Path] = frozenset()
     try:
         if path.suffix in (*MAPS, *CLOUDS):
@@ -89,13 +95,13 @@ def load_map(path: Path) -> Scene:
     notes: tuple[str, ...] = ()
     if path.suffix in CLOUDS:
         plan = path.suffix == ".yaml"
-        made = read_plan(path) if plan else map_clouds([path])
-        place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
-        told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
+        mapped = read_plan(path) if plan else map_clouds([path])
+        place = place_of(encode_map(mapped.voxels, str(path)), ".npz", str(path))
+        detail = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
         if not plan:
-            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
-        moved = f"; {made.offset.tolist()} m are taken off their coordinates"
-        notes = (f"{path.name}: {made.read}; {told}{moved if made.offset.any() else ''}",)
+            detail = f"{mapped.points} points become voxels of {mapped.voxels.voxel_m:g} m"
+        moved = f"; {mapped.offset.tolist()} m are taken off their coordinates"
+        notes = (f"{path.name}: {mapped.read}; {detail}{moved if mapped.offset.any() else ''}",)
     else:
         place = read_place(path)
     digest = map_digest(place.voxels)
@@ -103,12 +109,21 @@ def load_map(path: Path) -> Scene:
 
 
 def load_scene(path: Path, *, materials: bool = False) -> Scene:
-    """Read an MJCF file or a mesh and make it self-contained: geoms alone, where MuJoCo puts them,
-    and with `materials` the names of theirs.
+    """Read an MJCF file or a mesh and make it self-contained: only geoms, where MuJoCo puts them.
 
     The document is compiled again, and its solids compared with those of the file. MuJoCo may read
-    other files, run long and take memory: for files that nobody vouches for, call this in a process
-    with limits. Raises SceneError.
+    other files, run long and allocate much memory: for files from strangers, call this in a process
+    with limits.
+
+    Args:
+        path: The file.
+        materials: Whether the names of materials are kept.
+
+    Returns:
+        The scene.
+
+    Raises:
+        SceneError: If it cannot serve as a world.
     """
     with quiet_mujoco() as warnings:
         drawn, notes = _compile(path)
@@ -119,7 +134,7 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
         with raised_as(SceneError, f"{path}: "):
             expected = solids_of(drawn, data)
             mjcf, assets = flatten(drawn, data, materials=materials)  # names must be UTF-8
-    with raised_as(SceneError, of=BrokenError):  # what whoever reads the dataset would refuse
+    with raised_as(SceneError, of=BrokenError):  # readers of the dataset would refuse it
         screen(mjcf, assets, str(path))
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
@@ -129,7 +144,7 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
             "coarser meshes"
         )
     world = compile_world(mjcf, assets, name=str(path))
-    if not _same(expected, world.solids):
+    if not _agree(expected, world.solids):
         raise SceneError(
             f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; "
             "simplify its meshes"
@@ -139,15 +154,17 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 
 
 def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
-    """The model of a file without what only dresses its geoms, which may need files that are not
-    there, and notes on what was dropped that a user may look for. Raises SceneError."""
+    """Compile a file without the parts that only dress its geoms, and may need missing files.
+
+    Returns the model, and notes on parts that were dropped and a user may look for. Raises
+    SceneError."""
     is_mesh = path.suffix in MESHES
-    what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
+    problem = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
     refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
     # MuJoCo calls a file of another type an MJCF file without a decoder
-    told = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
-    end = told * (path.suffix not in WORLD_FILES)
-    with raised_as(SceneError, f"{path}: {what}: ", end, of=refused):
+    hint = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
+    end = hint * (path.suffix not in WORLD_FILES)
+    with raised_as(SceneError, f"{path}: {problem}: ", end, of=refused):
         notes: list[str] = []
         spec = mesh_spec(path, notes) if is_mesh else mujoco.MjSpec.from_file(str(path))
         if spec.skins:
@@ -166,28 +183,30 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
         # sensors may be of textures and skins; tuples that name these are no fault to MuJoCo
         for item in (*spec.sensors, *spec.skins, *spec.textures):
             spec.delete(item)
-        spec.memory = least_memory(len(spec.geoms))
+        spec.memory = memory_bytes(len(spec.geoms))
         # memory that no geom needs; MuJoCo would fill as much as is asked
         spec.nuserdata = spec.nkey = 0
         return spec.compile(), notes
 
 
-def _same(expected: Solids, found: Solids) -> bool:
-    """Whether the solids of the document are those that MuJoCo makes of the file."""
+def _agree(expected: Solids, compiled: Solids) -> bool:
+    """Return whether the solids of the document are those that MuJoCo makes of the file."""
     for name in ("shape", "mesh_start", "mesh_filled"):
-        if not np.array_equal(getattr(expected, name), getattr(found, name)):
+        if not np.array_equal(getattr(expected, name), getattr(compiled, name)):
             return False
+    # float32 vertices are coarser far from the origin
     reach = max(np.abs(a).max(initial=0.0) for a in (expected.position, expected.triangles))
+    # planes became infinite on purpose
     sized = expected.shape != PLANE
-    return np.allclose(expected.size[sized], found.size[sized], 1e-12, 0.0) and all(
-        np.abs(getattr(expected, name) - getattr(found, name)).max(initial=0.0)
-        <= MOST_MOVED * (1 + reach)
+    return np.allclose(expected.size[sized], compiled.size[sized], 1e-12, 0.0) and all(
+        np.abs(getattr(expected, name) - getattr(compiled, name)).max(initial=0.0)
+        <= MAX_SHIFT * (1 + reach)
         for name in ("position", "rotation", "triangles")
     )
 
 
 def _notes(model: mujoco.MjModel, solids: Solids) -> Iterator[str]:
-    """What a user should know who thinks of all that the file holds."""
+    """Describe parts of the file that a user may miss in the world."""
     if model.njnt:
         yield f"joints ({model.njnt}) stay in their reference position: nothing moves"
     bent = visible_geoms(model) & np.isin(model.geom_type, (MESH, HFIELD))
@@ -202,15 +221,23 @@ def _notes(model: mujoco.MjModel, solids: Solids) -> Iterator[str]:
 
 
 def named(names: Sequence[str]) -> str:
-    """Some names, and how many there are besides."""
+    """List the first names, and count the rest."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
-    """Whether an MJCF file is a world of its own, or a part of others, and which files it includes,
-    resolved, with what these include.
+    """Look through an MJCF file and the files that it includes, before MuJoCo reads them.
 
-    Raises SceneError for a file that is not regular or too large. MuJoCo says what else is wrong.
+    Args:
+        main: The file.
+
+    Returns:
+        Whether it is a world, and not a part of others; and the files that it includes, directly or
+        by others, resolved.
+
+    Raises:
+        SceneError: If a file is not regular or too large, or multiplies geoms beyond the limit.
+            MuJoCo reports other faults.
     """
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
@@ -224,22 +251,22 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         for _, name in INCLUDE.findall(text):
             # MuJoCo looks from the file that includes, or from the main one
             places = (folder / name for folder in (path.parent, main.parent))
-            there = {place.resolve() for place in places if place.exists()}
-            waiting += there - included
-            included |= there
+            existing = {place.resolve() for place in places if place.exists()}
+            waiting += existing - included
+            included |= existing
     return is_world, frozenset(included)
 
 
 def _repeats(text: str) -> float:
-    """How often the <replicate>s of a file, one within another, repeat what is innermost."""
-    times, most = [1.0], 1.0
+    """Return how often the nested <replicate>s of a file repeat the innermost element."""
+    times, highest = [1.0], 1.0
     for ended, count, empty in REPLICATE.findall(text):
         if ended:
             times = times[:-1] or [1.0]
         elif not empty:
             times.append(times[-1] * (float(count) if count else 1.0))
-            most = max(most, times[-1])
-    return most
+            highest = max(highest, times[-1])
+    return highest
 
 
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -251,7 +278,7 @@ Placed = Iterator[tuple[str, Floats, Ints]]
 
 
 def _objects(path: Path, notes: list[str]) -> Placed:
-    """The objects of a mesh file; what is not read of it is added to `notes`. Raises SceneError."""
+    """Read the objects of a mesh file, and note unread parts. Raises SceneError."""
     with raised_as(SceneError, of=DatasetError):
         content = read_bounded(path, MOST_ASSET_BYTES)
     # readers of damaged files raise anything, and numpy warns of numbers that are refused later
@@ -263,9 +290,10 @@ def _objects(path: Path, notes: list[str]) -> Placed:
 
 
 def _gltf(content: bytes, notes: list[str]) -> Placed:
-    """The objects of a .glb; see `_objects`."""
-    again = "its parts do not fit together: ", "; export it again"
-    with raised_as(BrokenError, *again, of=(LookupError, TypeError, ValueError, AttributeError)):
+    """Read the objects of a .glb; see `_objects`."""
+    # a damaged file may break any look-up in its JSON
+    message = "its parts do not fit together: ", "; export it again"
+    with raised_as(BrokenError, *message, of=(LookupError, TypeError, ValueError, AttributeError)):
         file = read_gltf(content)
         notes += file.notes()
         for name, corners, faces in file.objects():
@@ -273,7 +301,7 @@ def _gltf(content: bytes, notes: list[str]) -> Placed:
 
 
 def _by_trimesh(path: Path, content: bytes) -> Placed:
-    """The objects of another mesh file; see `_objects`."""
+    """Read the objects of another mesh file; see `_objects`."""
     import trimesh  # takes a second to load
 
     scene = trimesh.load(  # without a resolver, no other file is read
@@ -290,11 +318,20 @@ def _by_trimesh(path: Path, content: bytes) -> Placed:
 
 
 def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
-    """The MJCF of a mesh file: a geom for each of its objects, where they stand.
+    """Make the MJCF of a mesh file: a geom for each of its objects, where they stand.
 
-    A .glb is in metres with y up, as glTF 2.0 says; the others say neither, and are taken to be in
-    metres with z up. Colours are left out. What else is not read is added to `notes`. Raises
-    SceneError.
+    A .glb is in metres with y up, by glTF 2.0; the others do not say, and count as in metres with z
+    up. Colours are ignored.
+
+    Args:
+        path: The file.
+        notes: Gets a sentence for each unread part.
+
+    Returns:
+        The MJCF, not compiled.
+
+    Raises:
+        SceneError: If the file is damaged or too large, or holds no triangles.
     """
     spec, triangles = mujoco.MjSpec(), 0
     for name, corners, faces in _objects(path, notes):
@@ -305,24 +342,24 @@ def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
             raise SceneError(
                 f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
             )
-        there = faces.min() >= 0 and faces.max() < len(corners)
-        if not there or not np.isfinite(corners).all():
+        complete = faces.min() >= 0 and faces.max() < len(corners)
+        if not complete or not np.isfinite(corners).all():
             raise SceneError(
                 f"{path}: has corners that are not finite, or that are missing; export it again"
             )
         if len(corners) == 3:  # MuJoCo wants four
             corners = corners[[0, 1, 2, 2]]
-        called = f"{len(spec.geoms)} {printable(name)[:60]}"
+        label = f"{len(spec.geoms)} {printable(name)[:60]}"
         spec.add_mesh(
-            name=called,
+            name=label,
             uservert=corners.reshape(-1),
             userface=faces.reshape(-1),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         spec.worldbody.add_geom(
-            name=called,
+            name=label,
             type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=called,
+            meshname=label,
             contype=0,
             conaffinity=0,
         )

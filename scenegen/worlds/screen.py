@@ -1,5 +1,5 @@
-"""MJCF looked at before MuJoCo sees it: whether a document is self-contained, of bounded size, and
-made of numbers."""
+"""Screening of MJCF before MuJoCo reads it: documents must be self-contained, of bounded size, and
+made of finite numbers."""
 
 import hashlib
 import math
@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from xml.parsers import expat
 
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.errors import BrokenError, short
-from scenegen.limits import (
+from scenegen.base.errors import BrokenError, short
+from scenegen.base.limits import (
     MOST_ASKED,
     MOST_ATTRIBUTES,
     MOST_BUILTIN,
@@ -36,39 +36,48 @@ FORBIDDEN = {
 """MJCF elements that read other files, run other code, multiply, or are not solids. An archived
 world has none."""
 SOLIDS = {"geom", "mesh", "hfield", "material"}
-"""Elements of which MuJoCo takes as many as there may be."""
+"""Elements whose number only the limits of geoms and elements bound."""
 FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
 LOOKS = {"name", "rgba", "material"}
-"""Attributes that say nothing of where a solid is; a world's outline leaves them out."""
+"""Attributes that do not place a solid; a world's outline omits them."""
 WATCHED = FILES | FOLDERS | {"builtin"} | set(MOST_ASKED)
 LENGTHS = {"pos", "size", "fromto", "scale", "refpos", "vertex", "elevation"}
 """Attributes that hold metres, or multiples of them."""
 TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler", "refquat", "params", "rgba"}
 """Attributes that hold other numbers on which the solids, or whether they are seen, depend."""
 SUSPECT = re.compile(rb"[\d.]e[+\d]|\d{7}|nan|inf|&")
-"""What stands in every document, in small letters, with a number that is none, or is large: most
-are spared a closer look."""
+"""A pattern that every document with a NaN, infinite or large number matches, in small letters.
+Others need no check number by number."""
 
 
 def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
-    """See that an MJCF document is self-contained and of bounded size. Raises BrokenError, naming
-    `name`.
-
-    Returns a digest of its elements but for names and colours, whatever their order: equal for
-    documents of the same solids that were renamed or reordered, though not for every way to write
-    the same solids (`geometry_digest`).
+    """Check that an MJCF document is self-contained and of bounded size.
 
     MuJoCo would read included files and assets from anywhere on disk, expand what multiplies, and
-    take memory as it is told; none of that is in a document that scenegen has archived.
+    allocate as much memory as a document asks for. No document that scenegen has archived does
+    that.
+
+    Args:
+        document: The MJCF.
+        assets: The files of its archive, by name.
+        name: Its name, for messages.
+
+    Returns:
+        A digest of its elements without names and colours, in any order. It is equal for documents
+        of the same solids that were renamed or reordered, though not for every way to write the
+        same solids (`geometry_digest`).
+
+    Raises:
+        BrokenError: If it is not plain, self-contained MJCF, or too large.
     """
-    geoms, others, outline, within = 0, 0, list[str](), [""]
+    geoms, other_elements, outline, within = 0, 0, list[str](), [""]
     suspect = SUSPECT.search(document.lower()) is not None
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal geoms, others
+    def _start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal geoms, other_elements
         geoms += tag == "geom"
-        others += tag not in SOLIDS
+        other_elements += tag not in SOLIDS
         if tag in FORBIDDEN:
             raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
         if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
@@ -76,11 +85,12 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
                 f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} "
                 "levels of them"
             )
-        if others > MOST_OTHERS or len(attributes) > MOST_ATTRIBUTES:
+        if other_elements > MOST_OTHERS or len(attributes) > MOST_ATTRIBUTES:
             raise BrokenError(
                 f"{name}: more than {MOST_OTHERS} elements besides {', '.join(sorted(SOLIDS))}, or "
                 f"{MOST_ATTRIBUTES} attributes of one; put geoms straight into the worldbody"
             )
+        # most elements have none of these attributes: one set operation spares the look-ups
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
             _check_attributes(tag, attributes, assets, name)
         if suspect:
@@ -88,20 +98,23 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         written = [
             f"{key}={value}" for key, value in sorted(attributes.items()) if key not in LOOKS
         ]
+        # an element counts with the digest of its parent's, so that a move to another body changes
+        # it
         outline.append(f"{within[-1]} {tag} {' '.join(written)}")
         within.append(
             "" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16]
         )
 
-    def end(tag: str) -> None:
+    def _end(tag: str) -> None:
         within.pop()
 
-    def refuse(*_: object) -> None:
+    def _refuse(*_: object) -> None:
         raise BrokenError(f"{name}: declares a document type or entities, expected plain MJCF")
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = _start, _end
+    # entities could expand to gigabytes
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _refuse
     try:
         parser.Parse(document, True)
     except (expat.ExpatError, ValueError) as error:
@@ -112,8 +125,8 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
 def _check_attributes(
     tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str
 ) -> None:
-    """Files and amounts that an element asks for. Raises BrokenError, or ValueError for no
-    number."""
+    """Check the files and amounts that an element asks for. Raises BrokenError, or ValueError for
+    words in place of numbers."""
     for key, value in attributes.items():
         where = f"{name}: <{tag} {key}={short(value)}>"
         if key in FILES and value not in assets:
@@ -122,9 +135,9 @@ def _check_attributes(
             raise BrokenError(f"{where}: expected files beside the document")
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
-        most = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
-        if most is not None and not -1 <= _amount(value) <= most:
-            raise BrokenError(f"{where}: expected {most} at most")
+        limit = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
+        if limit is not None and not -1 <= _amount(value) <= limit:
+            raise BrokenError(f"{where}: expected {limit} at most")
     for sides in (("width", "height"), ("nrow", "ncol")):
         if math.prod(_amount(attributes.get(side, "0")) for side in sides) > MOST_CELLS:
             raise BrokenError(f"{name}: <{tag}>: {' times '.join(sides)} is more than {MOST_CELLS}")
@@ -136,21 +149,19 @@ def _check_attributes(
 
 
 def _check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """See that what places, turns and sizes things is made of finite numbers. Raises BrokenError,
-    naming `name`.
+    """Check that numbers that place, turn and size solids are finite. Raises BrokenError.
 
-    MuJoCo takes a NaN for a number that was not given, so that things stand elsewhere without a
-    word.
+    MuJoCo takes a NaN for a number that is missing, so that solids would silently stand elsewhere.
     """
     for key in attributes.keys() & (LENGTHS | TURNS):
-        most = MOST_LENGTH_M if key in LENGTHS else math.inf
+        limit = MOST_LENGTH_M if key in LENGTHS else math.inf
         for part in attributes[key].split():
             try:
                 number = float(part)
-            except ValueError:  # MuJoCo says so
+            except ValueError:  # MuJoCo reports it
                 continue
-            if not (math.isfinite(number) and abs(number) <= most):
-                expected = f"numbers up to {most:g}" if math.isfinite(most) else "finite numbers"
+            if not (math.isfinite(number) and abs(number) <= limit):
+                expected = f"numbers up to {limit:g}" if math.isfinite(limit) else "finite numbers"
                 raise BrokenError(
                     f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected "
                     f"{expected}"
@@ -158,8 +169,8 @@ def _check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
 
 
 def _check_field(content: bytes, where: str) -> None:
-    """A height field's file begins with its rows and columns, and MuJoCo takes as much memory as
-    they say."""
+    """Check a height field's file, which begins with its rows and columns: MuJoCo allocates by
+    these."""
     rows, columns = struct.unpack("<ii", content[:8]) if len(content) >= 8 else (0, 0)
     if not (0 < rows * columns <= MOST_CELLS and len(content) == 8 + 4 * rows * columns):
         raise BrokenError(
@@ -169,6 +180,6 @@ def _check_field(content: bytes, where: str) -> None:
 
 
 def _amount(value: str) -> float:
-    """A number as MJCF writes amounts: 100, or 16M."""
+    """Read an amount as MJCF writes it: 100, or 16M."""
     unit = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30}.get(value[-1:].upper())
     return float(value[:-1]) * unit if unit else float(value)

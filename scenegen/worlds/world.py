@@ -1,5 +1,5 @@
-"""A world: an MJCF document, what it refers to, the model compiled from exactly these bytes, and a
-digest that tells it from other worlds."""
+"""A world: an MJCF document, its files, the model compiled from exactly these bytes, and a digest
+of its geometry."""
 
 import hashlib
 import warnings
@@ -17,9 +17,8 @@ from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
-from lidarsim.solids.model import solids_of, visible_geoms
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
-from scenegen.errors import SceneError, raised_as, short
+from lidarsim.solids import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids, solids_of, visible_geoms
+from scenegen.base.errors import SceneError, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
@@ -29,27 +28,25 @@ from scenegen.worlds.place import Place, archived_place, named_map
 
 @contextmanager
 def quiet_mujoco() -> Iterator[list[str]]:
-    """While the block runs, MuJoCo's warnings go to the list that it gets, and to nothing else.
+    """Redirect MuJoCo's warnings to a list while the block runs.
 
-    Left alone, MuJoCo prints them and appends them to a file in the working folder. Whoever else
-    uses MuJoCo in this process finds its own handler again afterwards.
-    """
-    told: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(told.append)
+    Otherwise MuJoCo prints them and appends them to a file in the working folder. The handler that
+    was set before is restored afterwards."""
+    messages: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(messages.append)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            yield told
+            yield messages
     finally:
-        mujoco.set_mju_user_warning(before)
+        mujoco.set_mju_user_warning(previous)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class World:
-    """One world, ready for an engine to scan it. The compiled model is the one source of truth:
-    rays, occupancy and collision checks all read it, whether a recipe drew the world or a person
-    did."""
+    """A world that an engine can scan. The compiled model is the only source of truth: rays,
+    occupancy and collision checks all read it, whether a recipe drew the world or a person did."""
 
     mjcf: bytes
     """The document, UTF-8."""
@@ -73,12 +70,21 @@ class World:
         return Clearance(self.solids, self.flight_bounds)
 
     def room(self, radius_m: float, length_m: float, *, rng: np.random.Generator) -> Floats:
-        """Where to plan the next flight, (2, 3) metres: the flight bounds."""
+        """Return the box in which to plan the next flight, (2, 3) metres: the flight bounds.
+
+        Args:
+            radius_m: Not needed; maps of real places need it.
+            length_m: Not needed.
+            rng: Not needed.
+
+        Returns:
+            Least and greatest corner, (2, 3).
+        """
         return self.flight_bounds
 
     @property
     def albedo(self) -> Floats:
-        """What share of light every geom reflects, (ngeom,)."""
+        """The share of light that every geom reflects, (ngeom,)."""
         return albedo_of(self.model)
 
     @cached_property
@@ -86,40 +92,79 @@ class World:
         return {}
 
     def caster(self, engine: EngineFactory) -> Engine:
-        """What casts rays in it, made by `engine`, once: flights through a world from a file share
-        it. Raises SceneError where the engine refuses it, or finds no device."""
+        """Return the caster that `engine` makes of this world, cached: flights through it share it.
+        Raises SceneError if the engine refuses the world, or finds no device."""
         if engine not in self._casters:
             with raised_as(SceneError):
                 self._casters[engine] = engine(self.model, self.data)
         return self._casters[engine]
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
-        """The field of a sample that says what is there, `occupancy`."""
+        """Compute the ground truth of a sample.
+
+        Args:
+            grid: The sample's grid.
+            origin: (3,): its least corner in the world, metres.
+
+        Returns:
+            The field `occupancy`.
+        """
         return {"occupancy": rasterize(self.solids, grid, origin)}
 
     def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
-        """Whether enough is known of it at a pose: all is."""
+        """Tell whether enough of the world is known at a pose: always, in a world of solids.
+
+        Args:
+            pose: Not needed; maps of real places need all three.
+            lidar: Not needed.
+            known: Not needed.
+
+        Returns:
+            True.
+        """
         return True
 
     def unknown_m(self, scan: Scan) -> Floats:
-        """Metres of unknown space that each ray of a scan crosses, (*lidar.shape): none."""
+        """Return metres of unknown space that each ray of a scan crosses, (*lidar.shape): 0."""
         return np.zeros(scan.ranges.shape)
 
 
 AnyWorld = World | Place
-"""What one flies through and scans: a world of solids, or the map of a real place."""
+"""A world of solids, or the map of a real place."""
 
 
 def solid(world: AnyWorld, where: str) -> World:
-    """`world`, where solids are needed. Raises SceneError, naming `where`, for a map."""
+    """Require a world of solids.
+
+    Args:
+        world: A world.
+        where: Its name, for the message.
+
+    Returns:
+        The same world.
+
+    Raises:
+        SceneError: If it is a map.
+    """
     if isinstance(world, Place):
         raise SceneError(f"{where}: is a map of voxels, which has no solids to show")
     return world
 
 
 def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> AnyWorld:
-    """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
-    where it cannot serve as one."""
+    """Read the world of an archived document, of solids or a map.
+
+    Args:
+        mjcf: The document, UTF-8.
+        assets: The files that it refers to, by name.
+        name: Its name, for messages.
+
+    Returns:
+        The world.
+
+    Raises:
+        SceneError: If it cannot serve as a world.
+    """
     if named_map(mjcf):
         return archived_place(mjcf, assets, name)
     return compile_world(mjcf, assets, name=name)
@@ -128,8 +173,19 @@ def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> An
 def compile_world(
     mjcf: bytes, assets: Mapping[str, bytes] | None = None, *, name: str = "world"
 ) -> World:
-    """Compile an archived document. Raises SceneError, naming `name`, where it cannot serve as a
-    world."""
+    """Compile an archived document.
+
+    Args:
+        mjcf: The document, UTF-8.
+        assets: The files that it refers to, by the names it uses.
+        name: Its name, for messages.
+
+    Returns:
+        The world.
+
+    Raises:
+        SceneError: If it cannot serve as a world.
+    """
     assets = dict(assets or {})
     with quiet_mujoco():
         refused = (ValueError, mujoco.FatalError)
@@ -143,6 +199,7 @@ def compile_world(
             )
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
+        # MuJoCo's own rays need the bodies' bounding volumes, which this computes
         mujoco.mj_comPos(model, data)
         with raised_as(SceneError, f"{name}: "):
             solids = solids_of(model, data)
@@ -150,8 +207,15 @@ def compile_world(
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:
-    """Build a world by adding to an empty drawing, write it as MJCF, and compile what was
-    written."""
+    """Draw a world, write it as MJCF, and compile the document.
+
+    Args:
+        add_to: Adds solids to an empty drawing.
+        flight_bounds: (2, 3): the box in which the sensor may fly, metres.
+
+    Returns:
+        The world.
+    """
     with quiet_mujoco():
         drawing = Drawing(flight_bounds)
         add_to(drawing)
@@ -160,9 +224,10 @@ def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> 
 
 
 def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
-    """The document's own flight_bounds, or the box around all that is bounded in it."""
+    """Return the document's own flight_bounds, or the box around all its bounded solids."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, float)
+        # False for NaN, too
         small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
         if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(
@@ -182,26 +247,26 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
 
 
 ROUND_M = 1e-5
-"""Lengths are rounded to this before they are hashed: more than arithmetic can move them, less than
-matters."""
+"""Lengths are rounded to this before they are hashed. Rounding errors are smaller, differences that
+matter are larger."""
 
 
 def geometry_digest(solids: Solids) -> bytes:
-    """SHA-256 of what fills space: every solid in a form of its own, sorted.
+    """Compute the SHA-256 of a world's filled space: a normal form of every solid, sorted.
 
-    Two worlds with the same solids have the same digest, whatever the order, names, bodies or
-    colours, the sign of a quaternion, or which of a solid's equal placings was written (a box
-    turned by 90° with its sizes exchanged). A world moved as a whole is another world.
-    """
-    rows = [np.zeros((0, 13))]
+    Worlds with the same solids have the same digest, whatever the order, names, bodies or colours,
+    the sign of a quaternion, or which of a solid's equal placings was written (a box turned by 90°
+    with its sizes exchanged). A world moved as a whole is another world."""
+    rows = [np.zeros((0, 16))]
     for shape in np.unique(solids.shape):
         chosen = solids.shape == shape
-        numbers = (solids.size[chosen], solids.position[chosen], solids.rotation[chosen])
+        numbers = solids.size[chosen], solids.position[chosen], solids.rotation[chosen]
         form = _form(int(shape), *numbers)
         # negative zeros are zeros
         rounded = np.rint(form / ROUND_M) + 0.0
         rows.append(np.concatenate([np.full((len(form), 1), float(shape)), rounded], axis=1))
     table = np.concatenate(rows)
+    # sorted by all columns, the first one first
     digest = hashlib.sha256(table[np.lexsort(table.T[::-1])].tobytes())
     meshes = np.split(solids.triangles, solids.mesh_start[1:-1])
     filled = solids.mesh_filled.tolist()
@@ -210,60 +275,42 @@ def geometry_digest(solids: Solids) -> bytes:
     return digest.digest()
 
 
-def _form(
-    shape: int,
-    size: Floats,
-    position: Floats,
-    rotation: Floats,
-) -> Floats:
-    """Twelve numbers a solid that depend on the points it fills alone, (n, 12)."""
-    form = np.zeros((len(size), 12))
-    form[:, :3] = position
-    axis = rotation[:, :, 2]
+def _form(shape: int, size: Floats, position: Floats, rotation: Floats) -> Floats:
+    """Describe each solid of a shape by numbers that depend only on its filled points, (n, 15).
+
+    These are position and moments, which do not change with the sign of a quaternion, or if a box
+    is turned by 90° and its sizes are exchanged."""
     if shape == PLANE:
-        form[:, :3] = axis
-        form[:, 3] = (axis * position).sum(axis=1)
-    elif shape == SPHERE:
-        form[:, 3] = size[:, 0]
+        normal = rotation[:, :, 2]
+        # a plane's position may slide in it: only its distance from the origin counts
+        offset = (normal * position).sum(axis=1, keepdims=True)
+        return np.concatenate([normal, offset, np.zeros((len(size), 11))], axis=1)
+    radii = size
+    if shape == SPHERE:
+        radii = size[:, [0, 0, 0]]
     elif shape in (CAPSULE, CYLINDER):
-        form[:, 3] = size[:, 0]
-        form[:, 4:7] = _unsigned(axis * size[:, 1:2])
-    elif shape == BOX:
-        # a box is its three half edges, in any order and of either sign
-        edges = _unsigned((rotation * size[:, None, :]).transpose(0, 2, 1))
-        form[:, 3:] = _ordered(edges).reshape(-1, 9)
-    elif shape == ELLIPSOID:
-        form[:, 3:] = np.einsum("nij,nj,nkj->nik", rotation, size**2, rotation).reshape(-1, 9)
-    return form
-
-
-def _unsigned(vectors: Floats) -> Floats:
-    """`vectors` (..., 3), each or its opposite: that whose first component other than 0, rounded,
-    is positive."""
-    rounded = np.rint(vectors / ROUND_M)
-    first = np.take_along_axis(rounded, np.argmax(rounded != 0, axis=-1)[..., None], axis=-1)
-    return np.where(first < 0, -vectors, vectors)
-
-
-def _ordered(vectors: Floats) -> Floats:
-    """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells
-    rounded vectors apart."""
-    rounded = np.rint(vectors / ROUND_M)
-    key = rounded[..., 0] + np.sqrt(2.0) * rounded[..., 1] + np.sqrt(3.0) * rounded[..., 2]
-    return np.take_along_axis(vectors, np.argsort(key, axis=1)[:, :, None], axis=1)
+        radii = size[:, [0, 0, 1]]
+    axes = rotation * radii[:, None, :]
+    # the matrix R diag(r²) Rᵀ: second moments up to a factor
+    second = np.einsum("nij,nkj->nik", axes, axes).reshape(-1, 9)
+    # second moments are equal for a cube at any attitude, fourth ones are not; those of round
+    # shapes would change with a spin about the axis
+    fourth = (axes**4).sum(axis=2) ** 0.25 if shape == BOX else np.zeros((len(size), 3))
+    return np.concatenate([position, second, fourth], axis=1)
 
 
 def _mesh_digest(triangles: Floats, filled: bool) -> bytes:
-    """A digest of a soup of triangles (T, 3, 3) that does not depend on the order of triangles or
-    of their corners."""
+    """Compute a digest of triangles (T, 3, 3) that does not depend on their order, or their
+    corners'."""
     rounded = (np.rint(triangles / ROUND_M) + 0.0).astype(np.int64).view(np.uint64)
+    # sums of mixed numbers do not depend on order, and wrap around without loss
     corners = _mixed(rounded[..., 0] + _mixed(rounded[..., 1] + _mixed(rounded[..., 2])))
     total = int(_mixed(corners.sum(axis=1)).sum())
     return hashlib.sha256(bytes([filled]) + len(triangles).to_bytes(8) + total.to_bytes(8)).digest()
 
 
 def _mixed(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Numbers that look random, one for each (splitmix64: Steele, Lea and Flood 2014)."""
+    """Mix each number to one that looks random (splitmix64: Steele, Lea and Flood 2014)."""
     z = numbers + np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

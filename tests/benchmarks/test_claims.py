@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from benchmarks.paper.claims import (
     ALL,
@@ -24,8 +23,8 @@ from benchmarks.paper.claims import (
     seed_variance,
     waited,
 )
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.paper import PAPER
+from scenegen.model.bench.metrics import METRICS
+from scenegen.model.bench.report import PAPER
 
 WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")
@@ -93,15 +92,6 @@ def test_paths_are_compared_where_both_have_one():
     assert gain(none, "length", [("a", "b")], common=True).chance is None
 
 
-def test_the_variance_of_seeds_is_pooled_over_methods():
-    variance, freedom = seed_variance(
-        {"occ-s0": 1.0, "occ-s1": 3.0, "tudf-s0": 0.0, "tudf-s1": 0.0, "tudf-s2": 3.0, "a-s0": 9}
-    )
-    assert freedom == 3
-    assert variance == pytest.approx((2.0 + 6.0) / 3)
-    assert seed_variance({"occ-s0": 1.0})[1] == 0
-
-
 def study(rng, ours, theirs, *, seeds=2, training=0.0):
     """Four methods in 40 worlds, which are unlike for each network, as training seeds are by
     `training`."""
@@ -134,25 +124,6 @@ def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_
     assert worlds_alone < 0.6
     equal = [found(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(50)]
     assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
-
-
-def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it(rng):
-    one = found(study(rng, 0.5, 0.4, seeds=3, training=0.01))
-    assert len(one["pairs"]) == 9
-    assert one["difference"] == pytest.approx(
-        np.mean([pair["difference"] for pair in one["pairs"]])
-    )
-    worlds, (seeds, freedom) = one["worlds_error"] ** 2, (0.01**2 / 1.5, 8)
-    again = {**one, "worlds_freedom": 39}
-    (same,) = decided([again], {("pillar", "iou"): (0.01**2, freedom)}, ())
-    error, joined = (
-        np.sqrt(worlds + seeds),
-        (worlds + seeds) ** 2 / (worlds**2 / 39 + seeds**2 / freedom),
-    )
-    assert (same["low"], same["high"]) == pytest.approx(
-        stats.t.interval(0.95, joined, one["difference"], error)
-    )
-    assert same["holm"] == pytest.approx(2 * stats.t.sf(one["difference"] / error, joined))
 
 
 def test_only_runs_as_long_as_the_paper_s_refute(rng):

@@ -5,73 +5,21 @@ import re
 import runpy
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
-from scenegen.recipe import preset
+from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
 SHARED = {"measuring", "recordings", "scoring", "served"}
 STUDY = ROOT / "docs" / "results" / "study.json"
-DATA = "data"
-"""Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
-ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
-FIGURES = rf"""
-anywhere  → `geometric`, the default sensor \| N .* \| N
-anywhere  → points alone \| – \| N
-costs     → missed: inside \| N % \| N
-costs     → invented: elsewhere \| +\| N
-elsewhere → default range:0\.05 \| N
-elsewhere → scaffold, all sensors; careful \| [+-]N
-extras    → the core \| N \|
-extras    → `\[train\]` \| N \|
-fly       → `optimistic` \| N
-fly       → `tortuosity` \| N
-folders   → --version` \| N, N \|
-folders   → resume, unlisted \| N, N \|
-folders   → merge \| N, N \| N \| N \|
-generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → extrude: maze N
-generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze: maze N
-generate  → N samples a second and core
-generate  → everything else
-generate  → --compact: N samples in N s .* N s of proc
-inference → occ +stem 2:  eager +N ms
-inference → openvino +N ms
-intervals → success, geometric +N +N +N
-kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
-kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
-mutants   → N of 1 killed
-noise     → pillar: scan +datasheet +N ms +N times
-noise     → pillar: attach +clean +N ms +1\.00 times
-noise     → pillar: generate N samples +datasheet +N ms +N times
-networks  → `columns` \| 2 \| N
-odometry  → {ODOMETRY}
-peers     → `pillar` \| N .* \| N
-peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
-rays      → analytic +N ms a scan
-rays      → kernels cached: N s
-real      → `pillar` \| N \| N .* \| N
-real      → mean of the places
-rehearsal → N nodes, a bucket \| N \| N \|
-rehearsal → N requests
-sensors   → livox-avia +N ms a sample
-sensors   → map ahead +N ms a sample
-stream    → generate --compact +N \(1\.00\) +N
-stream    → 1 workers +N \(N\) +N
-study {STUDY} --out out → out/(c)laims\.png
-study {STUDY} --out out → out/(l)earning\.png
-training {DATA} → loader, one process: N samples/s
-training {DATA} → float32 +N ms a map, N of processor; +bfloat16 +N ms
-verify {DATA}   → : N samples, (no) check failed
-verify {DATA}   → by processor time +N samples a second
-"""
-"""Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 SCRIPTS = {}
-for _command, _figure in rows(FIGURES):
+"""Of every benchmark: what it is given, and figures that it prints; N stands for one."""
+for _command, _figure in rows(Path(__file__).with_name("figures.txt").read_text(encoding="utf-8")):
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
     *("costs", "elsewhere", "generalisation", "inference", "networks"),
@@ -133,7 +81,10 @@ def test_a_benchmark_runs_and_prints_its_figures(
 ):
     name, *words = command.split()
     script = str(BENCHMARKS / f"{name}.py")
-    given = [*(str(data) if word == DATA else word for word in words), "--smoke"]
+    places = {"DATA": data, "STUDY": STUDY, "BENCHMARKS": BENCHMARKS}
+    for name_of, place in places.items():
+        words = [word.replace(name_of, str(place)) for word in words]
+    given = [*words, "--smoke"]
     if name in LEARNED:
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(sys, "argv", [script, *given])

@@ -1,9 +1,9 @@
-"""A planner of one's own, as docs/own-planner.md shows it."""
+"""A planner of one's own, as docs/planning.md shows it."""
 
 import numpy as np
 import pytest
 
-from scenegen.model.evaluation.planning.measure import run_trial
+from scenegen.model.bench.trials import run_trial
 from tests.command_line import example
 from tests.model.conftest import make_dataset
 
@@ -12,7 +12,7 @@ def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
     ran = {}
-    exec(example("own-planner.md", "def straight"), ran)
+    exec(example("planning.md", "def straight"), ran)
     goals = ran["trials"].goals
     assert len(goals) > 3
     start, truth = ran["sample"].position - ran["sample"].origin, ran["truth"]

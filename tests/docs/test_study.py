@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.paper.claims import PATIENCE, judged, to_markdown, waited
-from scenegen.model.evaluation.paper import TUNED
+from scenegen.model.bench.report import TUNED
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from scenegen.recipes import kind_names
+from scenegen.worlds.kinds import kind_names
 from tests.command_line import ROOT, page
 
 PAGES = [
@@ -25,8 +25,10 @@ def test_the_tables_of_parameters_are_those_of_the_code(path):
     assert tables.filled(text) == text, "run python docs/tables.py"
 
 
-def test_pages_list_every_table_of_a_recipe():
+def test_the_settings_have_every_table():
     kinds = " ".join(map(str.capitalize, kind_names()))
-    others = "Flight Acceptance Lidar GridSpec Faults Mapper"
-    for name, names in (("recipes.md", others), ("kinds.md", kinds)):
-        assert {one for _, _, one, _ in tables.ASKED.findall(page(name))} == set(names.split())
+    recipe = "Flight Acceptance Lidar GridSpec Faults Mapper Known"
+    others = "TrainConfig NetworkConfig LossConfig BenchConfig Thresholds PlanConfig Vehicle Rules"
+    names = f"{kinds} {recipe} {others} Survey Cruise Fusing".split()
+    assert {one for _, _, one, _ in tables.ASKED.findall(page("settings.md"))} == set(names)
+    assert "<!-- stages -->" in page("settings.md")

@@ -10,10 +10,8 @@ form that is affordable:
   is found
   by closest approach (ball, infinite cylinder) and slabs (box, flat ends) in the solid's own frame;
 * voxels: each voxel is a box and each ray a segment, and the segment's overlap with the box is the
-  length of
-  an intersection of three slabs - for every voxel and every ray, in float64 with a margin (`swept`)
-  or in
-  rational arithmetic on the exact values of the float64 inputs (`exact_swept`).
+  length of an intersection of three slabs, for every voxel and every ray, in rational arithmetic on
+  the exact values of the float64 inputs.
 """
 
 from dataclasses import dataclass
@@ -205,48 +203,9 @@ def lengths(ranges32, max_range_m):
     return np.where(np.isinf(ranges32), max_range_m, ranges32.astype(np.float64))
 
 
-def swept(origin, voxel_m, shape, position, directions, reach, margin_m):
-    """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every
-    side.
-
-    A slab test of every voxel against every ray in float64. A voxel is the product of three slabs,
-    so the (x, y) columns that a ray misses are set aside before z is looked at; that skips empty
-    overlaps only. With a margin of plus or minus 1e-9 m, a million times the rounding of these
-    numbers, the two answers enclose the truth: what is met when shrunk must be met, what is not met
-    when grown must not. A shrunk voxel must also be met for longer than 1e-9 m.
-    """
-    out = np.zeros(shape, bool)
-    threshold = TOUCH_M if margin_m < 0 else 0.0
-    bounds = []
-    for count, low, start in zip(shape, origin, position, strict=True):
-        planes = low + voxel_m * np.arange(count + 1)
-        bounds.append((planes[:-1] - margin_m - start, planes[1:] + margin_m - start))
-    for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
-        slabs = []
-        for (below, above), along in zip(bounds, ray, strict=True):
-            if along == 0:
-                inside = (below <= 0) & (above > 0)
-                slabs.append((np.where(inside, 0.0, np.inf), np.where(inside, end, -np.inf)))
-                continue
-            with np.errstate(over="ignore"):
-                enter, leave = below / along, above / along
-            if along < 0:
-                enter, leave = leave, enter
-            slabs.append((np.maximum(enter, 0.0), np.minimum(leave, end)))
-        (x_in, x_out), (y_in, y_out), (z_in, z_out) = slabs
-        column_in = np.maximum.outer(x_in, y_in)
-        column_out = np.minimum.outer(x_out, y_out)
-        i, j = np.nonzero(column_out - column_in > threshold)
-        overlap = np.minimum(column_out[i, j, None], z_out) - np.maximum(
-            column_in[i, j, None], z_in
-        )
-        out[i, j] |= overlap > threshold
-    return out
-
-
-def exact_swept(origin, voxel_m, shape, position, directions, reach, at_least=0.0):
+def swept(origin, voxel_m, shape, position, directions, reach, at_least=0.0, margin_m=0.0):
     """Voxels that some segment meets with positive length of at least `at_least`, in rational
-    arithmetic.
+    arithmetic, each voxel grown by `margin_m` on every side.
 
     The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
     voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
@@ -255,7 +214,7 @@ def exact_swept(origin, voxel_m, shape, position, directions, reach, at_least=0.
     out = np.zeros(shape, bool)
     for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
         axes = zip(shape, position, ray, origin, strict=True)
-        spans = [list(_exact_spans(voxel_m, *axis, Fraction(end))) for axis in axes]
+        spans = [list(_spans(voxel_m, margin_m, *axis, Fraction(end))) for axis in axes]
         for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
             if max(a0, b0) < min(a1, b1):
                 for k, c0, c1 in spans[2]:
@@ -264,11 +223,13 @@ def exact_swept(origin, voxel_m, shape, position, directions, reach, at_least=0.
     return out
 
 
-def _exact_spans(voxel_m, count, start, along, low, end):
+def _spans(voxel_m, margin_m, count, start, along, low, end):
     """Of each voxel along one axis that a segment meets: its number, and where, as fractions."""
-    size, start, along, low = (Fraction(float(x)) for x in (voxel_m, start, along, low))
+    given = (voxel_m, margin_m, start, along, low)
+    size, margin, start, along, low = (Fraction(float(x)) for x in given)
     for index in range(count):
-        below, above = low + index * size - start, low + (index + 1) * size - start
+        below = low + index * size - start - margin
+        above = low + (index + 1) * size - start + margin
         if along == 0:
             first, last = Fraction(0), end if below <= 0 < above else Fraction(0)
         else:

@@ -13,6 +13,7 @@ from lidarsim.noise.returns import Fault
 from tests.command_line import example
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
+from tests.refusals import refuses
 
 WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
 <geom type="plane" size="0 0 1"/>
@@ -80,8 +81,7 @@ def test_sensors_on_several_bodies_give_what_each_gives_alone(model):
         mujoco.mj_step(model, data, 60)
         for scan, one in zip(together.scans(data), alone, strict=True):
             assert_array_equal(scan.ranges, one.scan(data).ranges)
-    with pytest.raises(ValueError, match="3 sensors are attached; call scans"):
-        together.scan(data)
+    refuses("several", together.scan, data)
 
 
 @pytest.mark.parametrize(
@@ -96,22 +96,20 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model, data, unseen, mis
 
 def test_what_cannot_be_attached_is_told_in_one_line(model):
     data = mujoco.MjData(model)
-    for body, more, told in (
-        ("robto", {}, "no body 'robto'; did you mean 'robot'"),
-        (["robot", "ball"], {"offset": [Pose.level((0, 0, 0))] * 3}, "2 bodies and 3 offsets"),
-        ("robot", {"unseen": "me"}, "unseen = 'me', expected one of nothing, body, tree"),
-        ("robot", {"sensor": "os1"}, "sensor = 'os1': expected an object, such as"),
+    poses = [Pose.level((0, 0, 0))] * 3
+    for body, more in (
+        ("robto", {}),
+        (["robot", "ball"], {"offset": poses}),
+        ("robot", {"unseen": "me"}),
+        ("robot", {"sensor": "os1"}),
     ):
-        with pytest.raises(ValueError, match=told):
-            attach(model, body, **more)
-    with pytest.raises(ValueError, match="never forwarded"):
-        attach(model, "robot").scan(data)
-    with pytest.raises(ValueError, match="give data of that model"):
-        attach(model, "robot").scan(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
+        refuses(f"{body} {[*more]}", attach, model, body, **more)
+    scan = attach(model, "robot").scan
+    refuses("never forwarded", scan, data)
+    refuses("another model", scan, mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
     mujoco.mj_forward(model, data)
     data.geom_xpos[4] = np.nan
-    with pytest.raises(ValueError, match=r"geom arm: pos = \[nan, nan, nan\], expected numbers"):
-        attach(model, "robot").scan(data)
+    refuses("no place", scan, data)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@ with its bounds."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from dataclasses import dataclass
@@ -13,8 +12,9 @@ import numpy as np
 import pytest
 
 from lidarsim.parameters import Bounds, check, number, shown
-from scenegen.recipes.kind import bounds_by_name
+from scenegen.worlds.kinds.kind import bounds_by_name
 from tests.command_line import rows
+from tests.refusals import refuses
 
 if TYPE_CHECKING:
     from nowhere import Unknown
@@ -65,36 +65,34 @@ def test_what_fits_becomes_the_annotated_type(name, value, kept):
 
 
 REFUSED = f"""
-rows     → 0            → rows = 0: expected a whole number from 1 to 1000
-rows     → 2.5          → rows = 2.5: expected a whole number from 1 to 1000
-rows     → true         → rows = True: expected a whole number
-rows     → "16"         → rows = '16': expected a whole number
-range_m  → 0.0          → range_m = 0.0: expected a finite number above 0
-range_m  → Infinity     → range_m = inf: expected a finite number above 0
-range_m  → 1{"0" * 400} → range_m = 1000
-tilt_deg → 90           → tilt_deg = 90: expected a finite number at least -90 and below 90
-shape    → [8, 8]       → shape = [8, 8]: expected three whole numbers at least 1, such as [8, 8, 4]
-shape    → "888"        → shape = '888': expected three whole numbers
-shape    → {{"8": 8, "9": 9, "4": 4}} → expected three whole numbers
-shape    → [8, [8], 4]  → shape = [8, [8], 4]: expected three whole numbers
-span_m   → [2.0, 1.0]   → span_m = [2.0, 1.0]: expected [low, high] with low <= high, \
-finite numbers from 0 to 9
-edges_m  → [1.0, 0.0]   → edges_m = [1.0, 0.0]: expected a list, each a finite number above 0
-even     → 2.5          → even = 2.5: expected a whole number
-limit    → 0            → limit = 0: expected a finite number above 0 or none
-mount    → "gimbal"     → mount = 'gimbal': expected 'tilt' or 'band'
-mount    → ["tilt"]     → mount = ['tilt']: expected 'tilt' or 'band'
-spin     → 1            → spin = 1: expected true or false
-name     → 3            → name = 3: expected text
-anything → [1.0, [NaN]] → anything = [1.0, [nan]]: expected a finite number
+rows     → 0
+rows     → 2.5
+rows     → true
+rows     → "16"
+range_m  → 0.0
+range_m  → Infinity
+range_m  → 1{"0" * 400}
+tilt_deg → 90
+shape    → [8, 8]
+shape    → "888"
+shape    → {{"8": 8, "9": 9, "4": 4}}
+shape    → [8, [8], 4]
+span_m   → [2.0, 1.0]
+edges_m  → [1.0, 0.0]
+even     → 2.5
+limit    → 0
+mount    → "gimbal"
+mount    → ["tilt"]
+spin     → 1
+name     → 3
+anything → [1.0, [NaN]]
 """
 
 
-@pytest.mark.parametrize(("name", "value", "line"), rows(REFUSED))
-def test_what_does_not_fit_is_named_with_its_bounds(name, value, line):
-    with pytest.raises(ValueError) as error:
-        Sensor(**{name: json.loads(value)})
-    assert line in str(error.value)
+@pytest.mark.parametrize(("name", "value"), rows(REFUSED))
+def test_what_does_not_fit_is_named_with_its_bounds(name, value):
+    line = refuses(f"{name} {value[:20]}", Sensor, **{name: json.loads(value)})
+    assert line.startswith(f"{name} = ")
 
 
 def test_a_value_is_shown_on_one_short_line():
@@ -115,10 +113,8 @@ def test_annotations_that_only_a_type_checker_can_resolve_leave_the_bounds():
         rows: int = number(3, least=1)
 
     check(Odd())
-    with pytest.raises(ValueError, match="rows = 0: expected a finite number at least 1"):
-        check(Odd(rows=0))
-    with pytest.raises(ValueError, match="rows = 'many'"):
-        check(Odd(rows="many"))  # type: ignore[arg-type]
+    for value in (0, "many"):
+        refuses(value, check, Odd(rows=value))
 
 
 def test_fields_without_bounds_have_those_of_their_name():
@@ -131,23 +127,20 @@ def test_fields_without_bounds_have_those_of_their_name():
         return Bounds(least=0, most=1) if name == "share" else Bounds(most=0)
 
     check(Kind(), by_name)
-    with pytest.raises(ValueError, match=r"share = 1.5: expected a finite number from 0 to 1"):
-        check(dataclasses.replace(Kind(), share=1.5), by_name)
+    refuses("share", check, Kind(share=1.5), by_name)
 
 
 @pytest.mark.parametrize("field", ["plain_m", "bounded_m", "bounded_count", "unresolved_m"])
-@pytest.mark.parametrize("value", [(4.0, 2.0), np.array([4.0, 2.0])])
-def test_ranges_of_a_kind_rise_within_bounds_of_their_own(field, value):
-    with pytest.raises(ValueError, match=rf"^{field} = .*4.*2.*: expected "):
-        Ranges(**{field: value})
-    assert tuple(getattr(Ranges(**{field: (2.0, 4.0)}), field)) == (2, 4)
-    assert tuple(getattr(Ranges(**{field: (3.0, 3.0)}), field)) == (3, 3)
+@pytest.mark.parametrize("kind", [tuple, np.array])
+def test_ranges_of_a_kind_rise_within_bounds_of_their_own(field, kind):
+    refuses(f"{field} {kind.__name__}", Ranges, **{field: kind([4.0, 2.0])})
+    for fine in ((2, 4), (3, 3)):
+        assert tuple(getattr(Ranges(**{field: kind(fine)}), field)) == fine
 
 
-def test_a_pair_that_is_no_range_says_so():
+def test_a_pair_need_not_rise_where_it_is_no_range():
     assert Ranges(place_m=(4.0, 2.0)).place_m == (4.0, 2.0)
-    with pytest.raises(ValueError, match="two finite numbers at least 1"):
-        Ranges(place_m=(4.0, 0.0))
+    refuses("place_m", Ranges, place_m=(4.0, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,11 +157,8 @@ class Ranges:
         check(self, bounds_by_name)
 
 
-@pytest.mark.parametrize(
-    ("value", "degrees"),
-    [(6.28, 360), (math.pi / 2, 90), (-0.5236, -30)],
-)
-def test_angles_in_radians_are_told_from_degrees(value, degrees):
+@pytest.mark.parametrize("value", [6.28, math.pi / 2, -0.5236])
+def test_angles_in_radians_are_told_from_degrees(value):
     @dataclass(frozen=True, kw_only=True)
     class Held:
         tilt_deg: float = number(0.0, least=-90, most=360)
@@ -177,8 +167,5 @@ def test_angles_in_radians_are_told_from_degrees(value, degrees):
         def __post_init__(self):
             check(self)
 
-    with pytest.raises(
-        ValueError, match=rf"^tilt_deg = \S+: is {degrees} degrees in radians; expected degrees$"
-    ):
-        Held(tilt_deg=value)
+    refuses(value, Held, tilt_deg=value)
     assert Held(tilt_deg=math.copysign(15.0, value), length_m=value).length_m == value

@@ -56,4 +56,4 @@ def undrawn(monkeypatch):
         "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
     )
     for name in ("draw_charts", "draw_failures"):
-        monkeypatch.setattr(f"scenegen.model.evaluation.shown.{name}", lambda *given: [])
+        monkeypatch.setattr(f"scenegen.model.bench.shown.{name}", lambda *given: [])

@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scenegen.display.exchange.files import write_points
-from tests.command_line import done, refused, run
+import scenegen
+from scenegen.base.errors import DatasetError
+from scenegen.worlds.clouds.write import write_points
+from tests.command_line import done, run
+from tests.refusals import refuses, refuses_command
+from tests.scenegen.view.test_page import Seen
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
 ROWS = """epoch,train_loss,val_loss,val_iou,val_near_mae,val_new
@@ -60,21 +64,27 @@ def test_a_scan_predictions_and_a_run_are_told(here, capsys):
 
 
 def test_scans_completions_of_them_and_runs_are_drawn(here, capsys, monkeypatch):
-    monkeypatch.setattr("scenegen.display.panels.DPI", 40)
+    monkeypatch.setattr("scenegen.view.panels.DPI", 40)
     for name in ("scan.pcd", "done.h5", "run"):
         assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", ""), name
         assert (here / "x.png").read_bytes().startswith(b"\x89PNG")
         (here / "x.png").unlink()
 
 
+def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
+    done(capsys, f"view {here}/done.h5 -o {here}/page.html")
+    samples = Seen((here / "page.html").read_text(encoding="utf-8")).data()["samples"]
+    shown = scenegen.show(here / "done.h5", out=here / "shown.html")
+    assert [sample["name"] for sample in samples] == [look.name for look in shown.looks] == ["done"]
+    pictured = scenegen.show(str(here / "scan.pcd"), out=here / "picture.html")
+    assert (pictured.looks, repr(pictured)) == ((), "<Shown: a picture>")
+    assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
+    refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
+
+
 def test_files_that_are_none_of_these_end_in_one_line(here, capsys):
-    for name in ("broken.h5", "none.h5", "none.pcd", "none.xml", "none"):
-        assert name in refused(capsys, f"inspect {here}/{name}")
-    assert "shard of a dataset" in refused(capsys, f"inspect {here}/shard.h5")
-    for name, part in (
-        ("split.h5", "--predictions"),
-        ("bad", "metrics.csv"),
-        ("empty.npz", ".npz"),
-    ):
-        assert part in refused(capsys, f"render {here}/{name} -o {here}/x.png")
+    for name in ("broken.h5", "none.h5", "none.pcd", "none.xml", "none", "shard.h5"):
+        refuses_command(capsys, f"inspect {here}/{name}")
+    for name in ("split.h5", "bad", "empty.npz"):
+        refuses_command(capsys, f"render {here}/{name} -o {here}/x.png")
         assert not (here / "x.png").exists()

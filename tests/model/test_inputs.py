@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
+from scenegen.model.bench.methods import Predicted
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import (
     CheckpointError,
     load_network,
@@ -21,11 +23,9 @@ from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import INPUTS, NetworkConfig
-from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.inputs import PointScan, channels
+from tests.model.bench.test_metrics import ALARMS
 from tests.model.conftest import completer_of, saved_network
-from tests.model.evaluation.test_metrics import ALARMS
 from tests.model.training.runs import SMALL, maps_of, train
 
 GRID = GridSpec(shape=(16, 24, 8))
@@ -44,7 +44,8 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     network, grid, _ = load_network(tmp_path / "run" / "best.safetensors")
     assert network.config.inputs == BOTH
     completer = Completer.from_pretrained(tmp_path / "run")
-    split = Dataset(folders[1]).split("test")
+    dataset = Dataset(folders[1])
+    split = dataset.split("test")
     sample = split[0]
     maps = {name: torch.from_numpy(getattr(sample, name)[None]) for name in BOTH}
     with torch.no_grad():
@@ -52,7 +53,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
     assert not np.allclose(expected, blind, atol=1e-4)  # the second channel counts
 
-    predict_split(completer, folders[1], "test", tmp_path / "p")
+    predict_split(completer, dataset, "test", tmp_path / "p")
     alone = Completer.from_pretrained(tmp_path / "run", threads=1)
     for found in (
         Predicted(tmp_path / "p").completion(sample, split),

@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-from torch import nn
 
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Network
+from scenegen.model.network import Conv3d, Network
 from tests.command_line import page
+from tests.refusals import refuses
 
 SHAPE = (16, 24, 8)
 
@@ -22,12 +22,11 @@ def seen(batch):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("stem_stride", [1, 2])
-def test_every_variant_predicts_its_tasks_at_full_size(variant, stem_stride):
-    output = network(variant=variant, stem_stride=stem_stride)(seen(2))
+def test_every_variant_predicts_its_tasks_at_full_size(variant):
+    output = network(variant=variant)(seen(2))
     assert (output.logits is None, output.tudf is None) == (variant == "tudf", variant == "occ")
-    for part in output:
-        assert part is None or part.shape == (2, *SHAPE)
+    for part in output.by_target.values():
+        assert part.shape == (2, *SHAPE)
     assert output.tudf is None or (output.tudf >= 0).all()
 
 
@@ -49,72 +48,8 @@ def test_branches_inform_each_other_in_the_proposed_network_alone():
         assert reaches("columns", task, "shared")
 
 
-def test_crossfusion_is_equation_5():
-    torch.manual_seed(0)
-    fuse, t, o = CrossFusion(4), torch.rand(2, 4, 3, 2, 1), torch.rand(2, 4, 3, 2, 1)
-
-    def add(x, y, layers):
-        """x + C(x, y), a cell at a time."""
-        first, _, second = layers
-        both = torch.cat((x, y), dim=1).movedim(1, -1)
-        hidden = torch.relu(both @ first.weight.flatten(1).T + first.bias)
-        return x + (hidden @ second.weight.flatten(1).T + second.bias).movedim(-1, 1)
-
-    new_t = add(t, o, fuse.to_tudf)
-    new_o = add(o, new_t, fuse.to_occupancy)  # sees the distances already refined
-    found_t, found_o = fuse(t, o)
-    torch.testing.assert_close(found_t, new_t)
-    torch.testing.assert_close(found_o, new_o)
-
-
-def test_the_head_puts_every_value_in_its_voxel():
-    head = FinalUp(1, 1).eval()
-    cells = torch.rand(1, 1, 2, 3, 4)
-    head.refine = nn.Identity()
-    with torch.no_grad():
-        head.split.weight.zero_()
-        head.split.weight[:, 0, 1, 1, 1] = 1.0
-        head.split.bias.copy_(torch.arange(8) * 10.0)
-    found = head(cells)
-    for i, j, k in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (3, 4, 5)):
-        number = 4 * (i % 2) + 2 * (j % 2) + k % 2
-        assert found[0, i, j, k] == cells[0, 0, i // 2, j // 2, k // 2] + 10.0 * number
-
-
-def test_a_dead_channel_does_not_cap_the_logits():
-    head = FinalUp(8, 8).eval()
-    with torch.no_grad():
-        head.refine[1].bias.fill_(-5.0)  # what a ReLU would cut off everywhere
-    assert head(torch.randn(1, 8, 4, 4, 4)).std() > 0
-
-
-def test_attention_looks_everywhere():
-    net = network()
-    cells = torch.rand(1, 32, 4, 3, 2, requires_grad=True)
-    net.attention(cells)[0, :, 0, 0, 0].sum().backward()
-    assert (cells.grad.abs().sum(dim=1) > 0).all()
-
-
-def test_columns_and_voxels_inform_each_other_at_every_level():
-    """A flat level depends on the 3-D skip of its level, both predictions on every flat level; and
-    a value of a cell comes from its own height."""
-    net = network(variant="columns")
-    net(seen(1)).logits.sum().backward()
-    for part in (*net.columns.take, *net.columns.give):
-        assert part.weight.grad.abs().sum() > 0
-    columns = Columns(1, 8, [(2, 4)], [3]).eval()
-    give = columns.give[0]
-    with torch.no_grad():
-        give.weight.zero_()
-        give.bias.copy_(torch.arange(8.0))
-    (found,) = columns(torch.rand(1, 1, 6, 4, 8), [torch.rand(1, 2, 3, 2, 4)])
-    assert found.shape == (1, 2, 3, 2, 4)
-    assert torch.equal(found[0, :, 1, 1], torch.arange(8.0).reshape(2, 4))
-
-
 def test_a_network_of_columns_takes_maps_of_its_height_alone():
-    with pytest.raises(ValueError, match=r"sees columns of 40 voxels, no others"):
-        NetworkConfig(variant="columns").check_map((80, 80, 48))
+    refuses("height", NetworkConfig(variant="columns").check_map, (80, 80, 48))
 
 
 @pytest.mark.parametrize("variant", ["proposed", "columns"])

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.inputs import input_called
 from tests.command_line import done, example, page, refused, rows, run
 from tests.model.training.runs import figures, train
+from tests.refusals import refuses, refuses_command
 
 OWN = "my_net:Net,my_input:rise"
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -75,10 +76,8 @@ def trapped(here):
 
 def test_a_file_has_nothing_imported_by_itself(trapped, capsys):
     for name in ("net", "input"):
-        with pytest.raises(CheckpointError, match=r"imported only if you name it.*trap:\w+@"):
-            Completer.from_pretrained(f"{name}.safetensors")
-        with pytest.raises(CheckpointError, match="trap"):
-            Completer.from_pretrained(f"my_net:Net@{name}.safetensors")
+        for path in (f"{name}.safetensors", f"my_net:Net@{name}.safetensors"):
+            refuses(path, Completer.from_pretrained, path, error=CheckpointError)
     for words in (
         ("complete", "data/pillar", "--weights"),
         ("export",),
@@ -99,13 +98,14 @@ from scenegen.model.network import Output
 from my_net import Net
 class Flat(Net):
     def forward(self, batch):
-        return Output(*(part[..., 0] for part in super().forward(batch)))
+        output = super().forward(batch)
+        return Output(output.logits[..., 0], output.tudf[..., 0])
 class Blind(Net):
     tasks = ("occupancy",)
 class Negative(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
-        return Output(logits, -tudf)
+        output = super().forward(batch)
+        return Output(output.logits, -output.tudf)
 class Peeking(Net):
     def forward(self, batch):
         return super().forward(batch) if "occupancy" in batch else Output(None, "shown no truth")
@@ -123,9 +123,16 @@ class Seeing(Net):
 class Broken(Net):
     def forward(self, batch):
         raise KeyError("gone")
+class Twice(Net):
+    def training_step(self, batch):
+        passes = [self(batch).logits for _ in range(2)]
+        apart = torch.nn.functional.mse_loss(*passes)
+        return {"occupied": (passes[0][batch["occupancy"]] - 3).square().mean(), "apart": apart}
+class Stuck(Net):
+    def training_step(self, batch): return torch.zeros(())
 class Branching(Net):
     def forward(self, batch):
-        logits, tudf = super().forward(batch)
+        logits, tudf, _ = super().forward(batch)
         return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
 def plain(config): return 3
 def detached(output, batch): return output.logits.detach().mean()
@@ -136,34 +143,45 @@ class Scaled:
 def short(seen, grid, lidar): return seen.observed[:-1]
 def failing(seen, grid, lidar): raise KeyError("gone")
 """
-SAID = r"""
-{"variant": "wrong:Flat"}                        → variant wrong:Flat: gives .*expected
-{"variant": "wrong:Blind"}                       → by its `tasks`
-{"variant": "wrong:Negative"}                    → no negative distance
-{"variant": "wrong:Peeking"}                     → gives .None, 'shown no truth'
-{"variant": "wrong:Masked"}                      → mask is torch.bool, expected float32 or int64
-{"objective": "wrong:detached"}                  → no weight of variant my_net:Net changes it
-{"variant": "wrong:Gone"}                        → has no Gone
-{"objective": "wrong:vector"}                    → iou is .*no metric has
-{"objective": "wrong:Scaled", "choose": "occupancy"} → the loss has no such term, but loss
-{"inputs": ["wrong:short"]}   → input wrong:short: gives an array of shape \(23, 24, 16\)
-{"inputs": ["wrong:failing"]}                    → line \d+ of wrong.py: KeyError
+ASKED = """
+{"variant": "wrong:Flat"}
+{"variant": "wrong:Blind"}
+{"variant": "wrong:Negative"}
+{"variant": "wrong:Peeking"}
+{"variant": "wrong:Masked"}
+{"objective": "wrong:detached"}
+{"variant": "wrong:Gone"}
+{"variant": "wrong:Stuck"}
+{"objective": "wrong:vector"}
+{"objective": "wrong:Scaled", "choose": "occupancy"}
+{"inputs": ["wrong:short"]}
+{"inputs": ["wrong:failing"]}
 """
 
 
-@pytest.mark.parametrize(("asked", "said"), rows(SAID))
-def test_what_is_wrong_with_own_code_is_told_in_one_line(here, asked, said):
+@pytest.mark.parametrize("asked", [asked for (asked,) in rows(ASKED)])
+def test_what_is_wrong_with_own_code_is_told_in_one_line(here, asked):
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))
-    with pytest.raises(ScenegenError, match=said):
-        train([here / "data" / "pillar"], config, here / "run")
-    assert not (here / "run").exists()
+    data, run = [here / "data" / "pillar"], here / "run"
+    refuses(asked, train, data, config, run, error=ScenegenError)
+    assert not run.exists()
 
 
 def test_an_error_of_ones_own_network_names_its_line(here, capsys):
     (here / "wrong.py").write_text(WRONG)
     words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Broken"
-    assert "of wrong.py: KeyError" in refused(capsys, words)
+    refuses_command(capsys, words)
+
+
+def test_a_network_may_have_a_training_step_of_its_own(here):
+    (here / "wrong.py").write_text(WRONG)
+    config = TrainConfig.of({"variant": "wrong:Twice", "width": 4, "epochs": 4, "lr": 0.01})
+    first, *_, last = train([here / "data" / "pillar"], config, here / "run")
+    assert last["train_occupied"] < first["train_occupied"]
+    assert last["train_apart"] == 0
+    assert "val_occupied" not in last
+    assert {"val_occupancy", "val_regression"} <= last.keys()
 
 
 @pytest.mark.slow

@@ -5,16 +5,16 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.dataset.read import Dataset
-from scenegen.model.completion.unlearned import Extrude
+from scenegen.model.bench.methods import Completed, Truth
+from scenegen.model.bench.report import CAUSES
+from scenegen.model.bench.run import bench
+from scenegen.model.bench.shown import guesses
+from scenegen.model.completion.protocol import Extrude
 from scenegen.model.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Truth
-from scenegen.model.evaluation.report import CAUSES
-from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.shown import guesses
 from scenegen.truth import distance_field
 from tests.command_line import refused, run
-from tests.model.evaluation.test_bench import write_predictions
-from tests.scenegen.display.test_page import Seen, unpacked
+from tests.model.bench.test_bench import write_predictions
+from tests.scenegen.view.test_page import Seen, unpacked
 
 
 def test_a_page_holds_what_is_predicted(made, tmp_path, capsys, rng):

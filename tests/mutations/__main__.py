@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from tests.mutations import __doc__ as about
-from tests.mutations.families import FAMILIES
+from tests.mutations.formats import FAMILIES
 from tests.mutations.valid import make_valid
 from tests.mutations.warm import campaign
 

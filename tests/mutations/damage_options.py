@@ -20,9 +20,7 @@ complete   → d --weights n.safetensors --device cpu --quiet -o out
 bench      → d --quick --workers 1 --quiet --method returns --out out
 sensors    → velodyne-vlp-16 --out out.png
 scan       → w.xml --pose 0,0,2,0 --lidar velodyne-vlp-16 -o out.ply
-rescan     → d --quiet --workers 1 -o out
-take       → d --quiet --workers 1 -o out
-merge      → d d --quiet --workers 1 -o out
+take       → d --quiet --workers 1 -o out.json
 calibrate  → n.safetensors d --quiet -o out.safetensors
 view       → d --html out.html --quiet
 render     → d -o out.png
@@ -52,7 +50,7 @@ def attempt(random, valid, here):
     name = random.choice(list(MADE))
     command = app.registry.find(name)
     words = [name, *MADE[name].split()]
-    ends = ("", ".png", ".ply", ".html", ".toml", ".safetensors", ".xml", ".onnx")
+    ends = ("", ".png", ".ply", ".html", ".toml", ".safetensors", ".xml", ".onnx", ".json")
     done, asked = [], [f"out{end}" for end in ends]
     parents = []
     for _ in range(random.choice((1, 1, 2))):

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from tests.mutations.case import words
 
 COVERED = words("observed occupancy ranges position quaternion origin world viewpoint")

@@ -8,7 +8,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 SHAPE = ("batch", 16, 16, 16)
 GRID = {"shape": [16, 16, 16], "voxel_m": 0.2, "truncation_m": 2.0}
-NETWORK = {"variant": "proposed", "width": 1, "stem_stride": 2, "heads": 4}
+NETWORK = {"variant": "proposed", "width": 1, "heads": 4}
 
 
 LINES = {"logits": (4.0, -2.0), "tudf": (-1.5, 1.5)}

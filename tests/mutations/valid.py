@@ -120,7 +120,7 @@ def make_valid(folder):
 def _write_scans_and_maps(folder):
     import trimesh
 
-    from scenegen.display.exchange.files import write_points
+    from scenegen.worlds.clouds.write import write_points
     from tests.scenegen.worlds import test_octomap, test_plan
 
     rng = np.random.default_rng(0)

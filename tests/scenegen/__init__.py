@@ -1,0 +1,23 @@
+"""What is refused, and in which words: a file beside the tests of each room."""
+
+from pathlib import Path
+
+import pytest
+
+from scenegen.base.errors import ScenegenError
+from tests.command_line import rows
+
+
+def cases(name):
+    """Rows of a room's `refusals.txt` under a heading: `room/heading`, or a heading alone; the last
+    column is, as a rule, a part of the line that is told."""
+    room, _, heading = name.rpartition("/")
+    text = (Path(__file__).parent / room / "refusals.txt").read_text(encoding="utf-8")
+    return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
+
+
+def refuses(told, action, *given, **more):
+    """Do what cannot be done: it ends in one of our errors, whose line, as every test sees to, is
+    one, and says this."""
+    with pytest.raises(ScenegenError, match=told):
+        action(*given, **more)

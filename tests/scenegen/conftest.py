@@ -1,6 +1,5 @@
 """A small dataset of a few shards, a check that passes it, and a stand-in for the Hub."""
 
-import functools
 import shutil
 import sys
 import time
@@ -13,12 +12,11 @@ import pytest
 
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
-from scenegen.display.look import looks
-from scenegen.draw import draw_unit
-from scenegen.sample import FIELDS
-from scenegen.share.regenerate import closure
-from scenegen.share.stage import Request
-from scenegen.source import DrawnWorlds
+from scenegen.draw.draw import draw_unit
+from scenegen.draw.sample import FIELDS
+from scenegen.draw.source import DrawnWorlds
+from scenegen.publish.stage import Request
+from scenegen.view.look import looks
 from tests.scenegen.hub import TOKEN, Hub
 
 
@@ -53,8 +51,6 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
-needed = functools.cache(closure)
-"""What a package needs is looked up once a process."""
 Check = namedtuple("Check", "name ok detail skipped", defaults=[False])
 
 
@@ -95,10 +91,9 @@ def verified(monkeypatch):
 def undrawn(monkeypatch):
     """No picture is drawn for a published folder: that of test_stage.py has them."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr("scenegen.share.regenerate.closure", needed)
-    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
-    monkeypatch.setattr("scenegen.display.pictures.draw_sample", lambda look: None)
-    monkeypatch.setattr("scenegen.display.panels.to_bytes", lambda figure, ending: b"\x89PNG")
+    monkeypatch.setattr("scenegen.publish.stage.SHOWN", 1)
+    monkeypatch.setattr("scenegen.view.pictures.draw_sample", lambda look: None)
+    monkeypatch.setattr("scenegen.view.panels.to_bytes", lambda figure, ending: b"\x89PNG")
 
 
 @pytest.fixture

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from scenegen import files
-from scenegen.errors import DatasetError
-from scenegen.files import (
+from scenegen.base import files
+from scenegen.base.errors import DatasetError
+from scenegen.base.executors import undo_all
+from scenegen.base.files import (
     check_target,
     draft_of,
     make_parent,
@@ -21,7 +22,7 @@ from scenegen.files import (
     whole,
     write_whole,
 )
-from scenegen.run import undo_all
+from tests.scenegen import refuses
 from tests.scenegen.conftest import names
 
 
@@ -40,8 +41,7 @@ def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path):
     assert names(tmp_path) == {"a", "b"}
     make_parent(tmp_path / "c" / "d" / "e")
     write_whole(tmp_path / "c" / "d" / "e", b"")
-    with pytest.raises(DatasetError, match="choose another place"):
-        make_parent(tmp_path / "a" / "x" / "y")
+    refuses("choose another place", make_parent, tmp_path / "a" / "x" / "y")
 
 
 def test_only_regular_files_are_replaced(tmp_path):
@@ -56,12 +56,12 @@ def test_only_regular_files_are_replaced(tmp_path):
 
     before = modes()
     for name in ("pipe", "folder", "link", "nowhere"):
-        with pytest.raises(DatasetError, match=r"is not a regular file|is a symbolic link"):
-            write_whole(tmp_path / name, b"content")
+        refuses(
+            r"is not a regular file|is a symbolic link", write_whole, tmp_path / name, b"content"
+        )
         with pytest.raises(DatasetError), whole(tmp_path / name):
             raise AssertionError("work for nothing")
-    with pytest.raises(DatasetError, match="is not a regular file"):
-        check_target(Path("/dev/null"))
+    refuses("is not a regular file", lambda: check_target(Path("/dev/null")))
     assert modes() == before
     assert (tmp_path / "target").read_bytes() == b"mine"
 
@@ -95,7 +95,9 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
 
 def left_behind(folder):
     """The path of a draft of a process that has ended."""
-    code = "import sys; from pathlib import Path; from scenegen.files import draft_of as draft; "
+    code = (
+        "import sys; from pathlib import Path; from scenegen.base.files import draft_of as draft; "
+    )
     words = [sys.executable, "-c", f"{code}print(draft(Path(sys.argv[1])))", str(folder / "a")]
     return Path(subprocess.check_output(words, text=True).strip())
 

@@ -12,16 +12,17 @@ from pathlib import Path
 import pytest
 
 from scenegen import SPLITS
-from scenegen.dataset import manifest
-from scenegen.dataset.trust import parse
-from scenegen.errors import RecipeError
-from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
-from scenegen.recipe import make_recipe, preset, read_recipe
-from scenegen.recipes import kind_names
-from scenegen.source import DrawnWorlds
+from scenegen.base.errors import RecipeError
+from scenegen.base.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES_IN_SHARD, MOST_SEED
+from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.manifest import encode, parse
+from scenegen.dataset.schema import NAME
+from scenegen.draw.source import DrawnWorlds
 from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
-from tests.command_line import rows
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import make_recipe, preset, read_recipe
+from tests.scenegen import cases, refuses
 
 NASTY = """nasty = [
 0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
@@ -35,20 +36,18 @@ NASTY = [*tomllib.loads(NASTY)["nasty"], None, 1 << 20_000, [1] * 999]
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Looking up versions takes longer than all the rest."""
-    monkeypatch.setattr(manifest, "software", dict)
+    monkeypatch.setattr("scenegen.dataset.build.software", dict)
 
 
 def manifest_of(recipe):
-    """A manifest of no shard, with the greatest numbers besides the recipe that there may be."""
-    given = manifest.parameters(
-        recipe,
-        DrawnWorlds(recipe),
+    """The bytes of a manifest without shards, with the greatest seed that there may be."""
+    plan = plan_dataset(
+        *(Path("d"), recipe, DrawnWorlds(recipe)),
         seed=MOST_SEED,
-        counts=dict.fromkeys(SPLITS, MOST_SAMPLES),
-        compact=False,
+        counts=dict.fromkeys(SPLITS, 0),
         shard_samples=MOST_SAMPLES_IN_SHARD,
     )
-    return json.loads(json.dumps(manifest.assemble(given, [], complete=False)))
+    return encode(plan.manifest)
 
 
 def random_tables(chance, recipe):
@@ -85,11 +84,11 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             outcome["refused"] += 1
             continue
         found = manifest_of(recipe)
-        checked = parse(found, Path())
+        checked = parse(found)
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
-            (tmp_path / manifest.NAME).write_text(json.dumps(found))
+            (tmp_path / NAME).write_bytes(found)
             contract = read_contract(tmp_path, Ledger())
             assert contract.recipe == recipe
         outcome["made"] += 1
@@ -118,7 +117,7 @@ def test_whole_numbers_and_floats_make_the_same_dataset():
         grid = {"voxel_m": exact(1), "shape": [whole(8)] * 3}
         world, flight = {"density": [exact(0), exact(1)]}, {"viewpoints": whole(2)}
         tables = {"grid": grid, "world": world, "flight": flight}
-        return json.dumps(manifest_of(make_recipe("pillar", tables, where="test")))
+        return manifest_of(make_recipe("pillar", tables, where="test"))
 
     assert found(int, float) == found(float, int)
 
@@ -130,8 +129,13 @@ def test_all_sorts_of_solids_are_counted_together():
         make_recipe("geometric", {"world": world}, where="test")
     for one, other in itertools.combinations(alone, 2):
         tables = {"world": one | other | {"clutter_count": [0, 18]}}
-        with pytest.raises(RecipeError, match=r"solids in a world of .* expected 20000 at most"):
-            make_recipe("geometric", tables, where="test")
+        refuses(
+            r"solids in a world of .* expected 20000 at most",
+            make_recipe,
+            "geometric",
+            tables,
+            where="test",
+        )
 
 
 def test_a_parameter_without_default_is_asked_for(monkeypatch):
@@ -139,23 +143,21 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch):
     class Bare(type(preset("pillar").world)):  # type: ignore[misc]
         posts: int
 
-    monkeypatch.setattr("scenegen.recipe.find_kind", lambda name: Bare)
-    with pytest.raises(RecipeError, match=r"^test: \[world\] posts: is missing"):
-        make_recipe("pillar", {}, where="test")
+    monkeypatch.setattr("scenegen.worlds.recipe.find_kind", lambda name: Bare)
+    refuses(r"^test: \[world\] posts: is missing", make_recipe, "pillar", {}, where="test")
     assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3
 
 
 def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
     lines = f"[{'a.' * 200}a]\n" + "".join(f"k{n:05d}=1\n" for n in range(6_000))
     (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
-    with pytest.raises(RecipeError, match="unknown table 'a'"):
-        read_recipe(tmp_path / "r.toml")
+    refuses("unknown table 'a'", read_recipe, tmp_path / "r.toml")
 
 
 def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     hard = preset("pillar", difficulty="hard")
     named = dataclasses.replace(hard, difficulty="very-hard")  # as a user's own kind may have it
-    assert parse(manifest_of(named), Path()).graded == "pillar-very-hard"
+    assert parse(manifest_of(named)).graded == "pillar-very-hard"
     path = tmp_path / "r.toml"
     path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')
     assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)
@@ -163,24 +165,16 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
         ("pillar", "harder", "expected one of easy, hard, medium"),
         ("scene", "hard", "worlds from MJCF files have none"),
     ):
-        with pytest.raises(RecipeError, match=told):
-            make_recipe(kind, {"difficulty": level}, where="test")
-    with pytest.raises(RecipeError, match="has difficulty, and --difficulty is given beside it"):
-        read_recipe(path, difficulty="easy")
+        refuses(told, make_recipe, kind, {"difficulty": level}, where="test")
+    refuses(
+        "has difficulty, and --difficulty is given beside it", read_recipe, path, difficulty="easy"
+    )
 
 
-CLUTTER = """
-hard → [0.02, 0.08]  → 1 of the values of the easy preset and 0 of that one (density)
-easy → [0.05, 0.5]   → 1 of the values of the medium preset and 0 of that one (density)
-hard → [0.02, 0.081] →
-"""
-
-
-@pytest.mark.parametrize(("level", "density", "told"), rows(CLUTTER))
+@pytest.mark.parametrize(("level", "density", "told"), cases("recipe"))
 def test_a_difficulty_whose_values_are_anothers_is_refused(level, density, told):
     tables = {"difficulty": level, "world": {"density": json.loads(density)}}
     if told:
-        with pytest.raises(RecipeError, match=re.escape(told)):
-            make_recipe("clutter", tables, where="test")
+        refuses(re.escape(told), make_recipe, "clutter", tables, where="test")
     else:
         assert make_recipe("clutter", tables, where="test").difficulty == level

@@ -10,14 +10,15 @@ from numpy.testing import assert_array_equal
 
 import scenegen
 from lidarsim import GridSpec, Lidar
+from scenegen.base.errors import DatasetError
 from scenegen.dataset.layout import ShardFile
-from scenegen.errors import DatasetError
-from scenegen.sample import FIELDS, GROUPS, Sample, Samples, Schema
+from scenegen.draw.sample import FIELDS, GROUPS, Sample, Samples, Schema
 from tests.command_line import example
 from tests.conftest import dataset_in, small_recipe
+from tests.scenegen import refuses
 
 torch = pytest.importorskip("torch")
-from torch.utils.data import DataLoader, random_split  # noqa: E402
+from torch.utils.data import DataLoader  # noqa: E402
 
 OTHER_TYPES = {"uint16": "int32"}
 """Types of tensors, where they are not those of the fields."""
@@ -60,21 +61,6 @@ def test_the_page_runs_with_processes(samples):
     names = {"samples": samples}
     exec(example("load.md", "samples.torch()"), names)
     assert len(names["batch"]["observed"]) == 8
-
-
-def test_samplers_and_subsets_take_it(samples):
-    tensors = samples.torch(["world", "viewpoint", "occupancy"])
-    part, rest = random_split(tensors, [4, 5])
-    both = [next(iter(DataLoader(each, batch_size=5, shuffle=True))) for each in (part, rest)]
-    found = [
-        pair
-        for one in both
-        for pair in zip(*(one[n].tolist() for n in tensors.names[:2]), strict=True)
-    ]
-    assert sorted(found) == sorted((one.world, one.viewpoint) for one in samples)
-    assert_array_equal(tensors[-1]["occupancy"], samples[8].occupancy)
-    with pytest.raises(IndexError):
-        tensors[9]
 
 
 def test_only_the_fields_named_are_read(samples, monkeypatch):
@@ -155,13 +141,11 @@ def test_fields_of_several_shapes_are_left_out_by_name():
 
 
 def test_what_cannot_be_is_said_in_a_line(samples, monkeypatch):
-    with pytest.raises(DatasetError, match=r"no field 'tsdf'; expected observed, free"):
-        samples.torch(["tsdf"])
-    for name in ("scenegen.tensors", "torch"):
+    refuses(r"no field 'tsdf'; expected observed, free", samples.torch, ["tsdf"])
+    for name in ("scenegen.draw.tensors", "torch"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(DatasetError, match=r"torch\(\) needs torch.*\[train\]"):
-        samples.torch()
+    refuses(r"torch\(\) needs torch.*\[train\]", samples.torch)
 
 
 @pytest.mark.parametrize("workers", [0, 2])

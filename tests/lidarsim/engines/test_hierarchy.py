@@ -1,63 +1,53 @@
-"""Laws of the tree: it holds every item once, within its boxes, whatever the items are."""
+"""Whatever the tree is made of, and wherever its items go, rays meet the nearest of all spheres."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from lidarsim.engines.hierarchy import IN_LEAF, LEVELS, Hierarchy
+from lidarsim import AnalyticEngine
+from lidarsim.engines.hierarchy import Hierarchy
+from lidarsim.solids import solids_of
+from tests.lidarsim import reference
+from tests.lidarsim.engines.test_laws import model_of
 
-
-def leaves(tree, lower, upper):
-    """All items, in the order in which the tree's leaves hold them, and its depth; boxes are
-    checked on the way."""
-    items = []
-    deepest, waiting = 0, [(0, 1)] if len(tree.boxes) else []
-    while waiting:
-        node, level = waiting.pop()
-        deepest = max(deepest, level)
-        for k in range(4):
-            low, high = tree.boxes[node, :3, k], tree.boxes[node, 3:, k]
-            link, end = int(tree.links[node, k]), int(tree.ends[node, k])
-            if end:
-                held = tree.order[link:end].astype(int)
-                assert 1 <= len(held) <= IN_LEAF
-                assert (low <= lower[held]).all()
-                assert (high >= upper[held]).all()
-                items += held.tolist()
-            elif link:
-                assert link > node
-                inside = np.isfinite(tree.boxes[link, 0])
-                assert (low <= tree.boxes[link, :3][:, inside].min(axis=1)).all()
-                assert (high >= tree.boxes[link, 3:][:, inside].max(axis=1)).all()
-                waiting.append((link, level + 1))
-            else:
-                assert (low > high).all()  # no ray enters it
-    return items, deepest
+KINDS = ("scattered", "coincident", "on a line", "ever farther")
 
 
-def boxes(rng, count, kind):
-    centre = rng.uniform(-50, 50, (count, 3))
+def centres(rng, count, kind):
+    places = rng.uniform(-50, 50, (count, 3))
     if kind == "coincident":
-        centre[:] = 7.0
+        places[:] = 7.0
     elif kind == "on a line":
-        centre[:, 1:] = 0.0
+        places[:, 1:] = 0.0
     elif kind == "ever farther":  # every cut takes few items off
-        centre = np.repeat(1.5 ** np.arange(count)[:, None] * 1e-6, 3, axis=1) % 1e6
-    half = rng.uniform(0.0, 2.0, (count, 3))
-    return centre - half, centre + half
+        places = np.repeat(1.5 ** np.arange(count)[:, None] * 1e-6, 3, axis=1) % 1e6
+    return places
 
 
-@pytest.mark.parametrize("kind", ["scattered", "coincident", "on a line", "ever farther"])
-@pytest.mark.parametrize("count", [0, 1, 5, 300])
-def test_every_item_lies_in_one_leaf_within_its_boxes(kind, count):
-    lower, upper = boxes(np.random.default_rng(count), count, kind)
-    tree = Hierarchy.over(lower, upper)
-    items, depth = leaves(tree, lower, upper)
-    assert sorted(items) == list(range(count))
-    assert depth <= LEVELS + 32
-    assert kind != "coincident" or depth <= count.bit_length()  # else the tree is deep
-    moved = np.random.default_rng(1).uniform(-3, 3, (count, 3))
-    tree.refit(lower + moved, upper + moved)
-    assert leaves(tree, lower + moved, upper + moved) == (items, depth)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("count", [1, 5, 300])
+def test_rays_meet_the_nearest_of_all(kind, count):
+    rng = np.random.default_rng(count)
+    one = solids_of(model_of('type="sphere" size="1"'))
+    fields = ("shape", "size", "position", "rotation", "lower", "upper")
+    many = {name: np.repeat(getattr(one, name), count, axis=0) for name in fields}
+    engine, rays = None, reference.unit(rng.normal(size=(2000, 3)))
+    for _ in range(2):  # as built, and as moved
+        places = centres(rng, count, kind)
+        places += rng.uniform(-3, 3, places.shape)
+        rays[:count] = reference.unit(places)[: len(rays)]
+        many |= {"position": places, "lower": places - 1, "upper": places + 1}
+        solids = replace(one, **many, geom=np.arange(count))
+        if engine is None:
+            engine = AnalyticEngine(solids)
+        else:
+            engine.move(solids)
+        near, far = reference.interval("sphere", [1.0], -places, rays[:, None])
+        first = np.where(near > 0, near, np.where(far > 0, far, np.inf)).min(axis=1)
+        found = engine.cast(np.zeros((1, 3)), rays[None], np.inf)[0]
+        assert_allclose(found, first, rtol=1e-9, atol=1e-4)
 
 
 def test_neighbours_share_leaves(rng):

@@ -8,6 +8,7 @@ import pytest
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from tests.lidarsim.engines.test_laws import BAD_RAYS
 from tests.lidarsim.reference import unit
+from tests.refusals import refuses
 
 STEP_M = 5e-4
 
@@ -89,5 +90,4 @@ def test_what_is_no_ray_meets_nothing():
     ):
         assert engine.cross([start], [[ray]], 5.0) == (np.inf, 0.0)
     assert np.isinf(engine.cast([[-9.0, 9.0, 1.0]], [[along]], 50.0)).all()  # past the map
-    with pytest.raises(ValueError, match="expected"):
-        engine.cast([inside], [[along]] * 2, 5.0)
+    refuses("two rays of one origin", engine.cast, [inside], [[along]] * 2, 5.0)

@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import itertools
 import math
-from contextlib import nullcontext
 from functools import cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import example, rows
 from tests.lidarsim.engines.test_laws import model_of
+from tests.refusals import refuses
 
 
 @cache
@@ -97,9 +97,10 @@ def test_stages_that_cast_come_first_and_once():
     ranks = {"motion": 0, "divergence": 1, "range": 2, "dropout": 2}
     for pair in itertools.product(ranks, repeat=2):
         one, other = (ranks[name] for name in pair)
-        refused = pytest.raises(ValueError, match="put motion first, then divergence")
-        with nullcontext() if one < other or one == other == 2 else refused:
-            Noise.parse(",".join(pair))
+        if one < other or one == other == 2:
+            assert Noise.parse(",".join(pair))
+        else:
+            refuses(pair, Noise.parse, ",".join(pair))
 
 
 def test_a_stage_of_ones_own(standing):
@@ -127,19 +128,12 @@ class Single(Shift):
 class Ranked(Shift):
     order: int = 2
 """)
-    for text, told in {
-        "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
-        "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
-        "Bare": " gave ndarray; expected Returns",
-        "Single": r" gave ranges of shape \(16, 120\); expected .* shape = \(16, 120\)",
-        "Empty": r" gave ranges of shape \(0, 16, 120\)",
-        "Without": "'>=' not supported",
-        "Boundless": "takes 1 positional argument",
-        "Ranked:0:5": "`order` is a parameter",
-    }.items():
-        text = f"my_noise:{text}"
-        with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
-            noisy(text)
+    for text in (
+        "Shift:9.5,range:0",
+        "Ranked:0:5",
+        *["Signed", "Bare", "Single", "Empty", "Without", "Boundless"],
+    ):
+        refuses(text, noisy, f"my_noise:{text}")
     text = "my_noise:Shift:-0.5, range:0"
     assert str(Noise.parse(text)) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     told = noisy(text).ranges[0]
@@ -152,20 +146,17 @@ class Ranked(Shift):
 
 
 WRONG = f"""
-                        → an empty stage; expected stages, as
-rnage:0.02              → did you mean 'range'
-range:20                → noise stage range: sigma_m = 20: expected a finite number from 0 to 1
-range:0.1:0.2:0.3:0.4   → expected values of sigma_m, share, quadratic_per_m
-range:sigma=1           → 'sigma=1'
-range:0.1:sigma_m=0.2   → each once
-divergence:returns=best → 'strongest' or 'first' or 'last' or 'dual'
-datasheet               → comes with none
-{"dropout," * 20}dropout → 20 at most
+rnage:0.02
+range:20
+range:0.1:0.2:0.3:0.4
+range:sigma=1
+range:0.1:sigma_m=0.2
+divergence:returns=best
+datasheet
+{"dropout," * 20}dropout
 """
 
 
-@pytest.mark.parametrize(("text", "told"), rows(WRONG))
-def test_a_text_that_is_none_is_told_of_in_one_line(text, told):
-    with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
-        Noise.parse(text)
-    assert told in str(error.value)
+@pytest.mark.parametrize("text", ["", *(text for (text,) in rows(WRONG))])
+def test_a_text_that_is_no_chain_is_refused(text):
+    refuses(text[:30], Noise.parse, text)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
-from scipy import integrate, special, stats
+from numpy.testing import assert_allclose
+from scipy import stats
 
-from lidarsim.noise.chance import AREA, LAYERS, TAIL, _layers, normal, on_circle
+from lidarsim.noise.returns import normal, on_circle
 
 COUNT = 2_000_000
 LEVEL = 1e-3
@@ -15,20 +15,6 @@ LEVEL = 1e-3
 @pytest.fixture(scope="module")
 def drawn():
     return normal((COUNT,), rng=np.random.default_rng(4))
-
-
-def test_the_layers_have_equal_areas_and_close_the_bell():
-    """By the error function and a quadrature of scipy's, which know nothing of layers."""
-    edges, densities = _layers()
-    assert edges.shape == densities.shape == (LAYERS + 1,)
-    area, tail = float(AREA), float(TAIL)
-    assert_allclose(densities[1:], np.exp(-(edges[1:] ** 2) / 2), rtol=1e-14)
-    assert_allclose(edges[1:-1] * np.diff(densities)[1:], area, rtol=1e-11)
-    beyond = np.sqrt(np.pi / 2) * special.erfc(tail / np.sqrt(2))
-    assert tail * densities[1] + beyond == pytest.approx(area, rel=1e-13)
-    assert edges[0] * densities[1] == pytest.approx(area, rel=1e-15)
-    under = integrate.quad(lambda x: np.exp(-x * x / 2), edges[255], edges[254])[0]
-    assert area > under - (edges[254] - edges[255]) * densities[254] > 0
 
 
 def test_numbers_are_standard_normal(drawn):
@@ -50,43 +36,11 @@ def test_tails_are_as_heavy_as_they_should(drawn, beyond, side):
     assert stats.binomtest(count, COUNT, float(stats.norm.sf(beyond))).pvalue > LEVEL
 
 
-def test_the_tail_has_the_shape_of_a_normal_tail(drawn):
-    tail = np.abs(drawn[np.abs(drawn) > float(TAIL)])
-    share = stats.norm.sf(tail) / stats.norm.sf(float(TAIL))
-    assert tail.max() > 4.8
-    assert stats.kstest(share, "uniform").pvalue > LEVEL
-
-
 @pytest.mark.parametrize("apart", [1, 2, 7, 1024, COUNT // 2])
 def test_numbers_do_not_depend_on_each_other(drawn, apart):
     one, other = drawn[:-apart], drawn[apart:]
     for change in (np.asarray, np.square, np.abs, np.sign):
         assert stats.pearsonr(change(one), change(other)).pvalue > LEVEL
-
-
-def test_numbers_do_not_depend_on_those_of_other_stages(drawn):
-    """`rng.spawn`, as a chain has it; and what a stage draws before from its own stream."""
-    one, other = np.random.default_rng(1).spawn(2)
-    even = one.random(COUNT)
-    for numbers in (normal((COUNT,), rng=one), normal((COUNT,), rng=other)):
-        for change in (np.asarray, np.square):
-            assert stats.pearsonr(even, change(numbers)).pvalue > LEVEL
-
-
-def test_each_number_is_made_of_its_own_word():
-    """So a ray's noise is the same whatever other rays have, and who works them out."""
-    whole = normal((3, 7001), rng=np.random.default_rng(8))
-    assert whole.shape == (3, 7001)
-    first = normal((5000,), rng=np.random.default_rng(8))
-    assert_array_equal(whole.reshape(-1)[:5000], first)
-    assert normal((0, 3), rng=np.random.default_rng(8)).shape == (0, 3)
-    words = np.random.default_rng(8).integers(0, 2**64, 5000, np.uint64).tolist()
-    edges = _layers()[0]
-    places = [(word >> 11) / 2**53 * edges[word % 256] for word in words]
-    at_once = [x < edges[word % 256 + 1] for x, word in zip(places, words, strict=True)]
-    assert 0.98 < np.mean(at_once) < 0.995
-    signed = [-x if word >> 8 & 1 else x for x, word in zip(places, words, strict=True)]
-    assert_array_equal(first[at_once], np.array(signed)[at_once])
 
 
 def test_directions_are_even_around_the_circle():

@@ -11,6 +11,7 @@ from numpy.testing import assert_array_equal
 from lidarsim import BeamTable, Lidar
 from lidarsim.sensors import SENSORS
 from lidarsim.sensors.table import read_npy
+from tests.refusals import refuses
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ def test_a_table_cannot_be_changed():
     table = BeamTable(rays=rays)
     rays[0, 0] = 7.0
     assert table.rays[0, 0] == 1.0
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ValueError):
         table.rays[0, 0] = 2.0
 
 
@@ -68,16 +69,10 @@ def test_a_file_is_a_sensor_by_name(tmp_path):
     (tmp_path / "fan.npy").write_bytes(table.npy)
     path, reach_m = f"{tmp_path}/fan.npy", np.float32(5)
     assert SENSORS.find("table")(rays=path, max_range_m=reach_m, sha256=table.sha256) == table
-    for wrong, told in (
-        ({"rays": tmp_path / "fun.npy"}, "rays = 'fun.npy': there is no such file in"),
-        ({"rays": tmp_path / "fan.npy", "sha256": "0" * 64}, "is not the file whose sha256 is"),
-        ({"rays": tmp_path / "fan.npy", "made_by": "a\n"}, "printable characters"),
-    ):
-        with pytest.raises(ValueError, match=told):
-            BeamTable(**wrong)
+    for wrong in ({"rays": tmp_path / "fun.npy"}, {"sha256": "0" * 64}, {"made_by": "a\n"}):
+        refuses([*wrong], BeamTable, **{"rays": path} | wrong)
 
 
 @pytest.mark.parametrize("axes", [0, 5])
 def test_shapes_have_one_to_four_axes(axes):
-    with pytest.raises(ValueError, match="expected"):
-        BeamTable(rays=np.broadcast_to([1.0, 0.0, 0.0, 0.0], (1,) * axes + (4,)))
+    refuses(axes, BeamTable, rays=np.broadcast_to([1.0, 0.0, 0.0, 0.0], (1,) * axes + (4,)))

@@ -5,11 +5,11 @@ import pytest
 
 from tests.command_line import done, refused, run
 from tests.conftest import contents
-from tests.scenegen.run import everywhere
-from tests.scenegen.run.backwards import die_of_one
-from tests.scenegen.run.everywhere import SAMPLES, checks
+from tests.scenegen.base import everywhere
+from tests.scenegen.base.backwards import die_of_one
+from tests.scenegen.base.everywhere import SAMPLES, checks
 
-AWAY = ("--on", "tests.scenegen.run.backwards:Backwards")
+AWAY = ("--on", "tests.scenegen.base.backwards:Backwards")
 CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
 """The second task is lost."""
 CONVERT = ("convert", "d", "--to", "webdataset")

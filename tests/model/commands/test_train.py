@@ -2,28 +2,20 @@
 
 import csv
 import json
-import os
-import signal
-import sys
-import time
 
 import h5py
 import numpy as np
 import pytest
-import torch
 
 from lidarsim.grid import iou
-from scenegen import __main__ as cli
-from scenegen.cli import stops
 from scenegen.dataset.read import Dataset
-from scenegen.display.exchange.files import write_points
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig
-from scenegen.model.evaluation.metrics import METRICS
+from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, refused, rows, run
 from tests.model.commands.test_bench import here
-from tests.model.training.runs import elsewhere
+from tests.refusals import refuses_command
 
 assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
@@ -54,7 +46,7 @@ def test_train_complete_and_bench_work_together(here, capsys):
         capsys, "complete data/pillar --weights runs/tuned --quiet"
     )
     with h5py.File("predictions/test-00000.h5") as file:
-        assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
+        assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint", "sha256"}
     named = "bench", "--weights", "my net=runs/proposed", "--weights", "runs/proposed"
     words = "--method returns --predictions predictions --quick --workers 1"
     done(capsys, *named, *words.split())
@@ -110,30 +102,30 @@ def test_a_stream_trains_without_a_dataset(here, small, capsys):
 
 
 BAD_USE = """
-train --variant propose                 → did you mean 'proposed'?
-train --lr -1                           → '--lr': -1 is not a finite number above 0
-train --stream pillar                   → how many maps to see with --maps
-train --stream pillar=much --maps 8     → expected NAME or NAME=WEIGHT
-train data/pillar --stream pillar --maps 8 --val-maps 8 → leave one of the two out
-train data/pillar=2 --stream pillar --maps 8 → datasets validate, and have no weights
-train data/pillar --stream pillar --maps 8   → seed 0: its grid is
-complete pickle.pt -o new.pt            → nor a scan
-complete data/pillar -o /dev/null       → /dev/null: is not a regular file
-complete data/pillar --weights pickle.pt     → pickled checkpoint
-bench --method returns --method returns → two rows are called 'returns'
-bench --weights a=columns --weights a=occ    → two rows are called 'a'; name a network's row
-bench --weights a=column                     → did you mean 'columns'?
-bench data/pillar --method extrud       → did you mean 'extrude'?
-bench data/pillar data/pillar           → two datasets of one kind
+train --variant propose
+train --lr -1
+train --stream pillar
+train --stream pillar=much --maps 8
+train data/pillar --stream pillar --maps 8 --val-maps 8
+train data/pillar=2 --stream pillar --maps 8
+train data/pillar --stream pillar --maps 8
+complete pickle.pt -o new.pt
+complete data/pillar -o /dev/null
+complete data/pillar --weights pickle.pt
+bench --method returns --method returns
+bench --weights a=columns --weights a=occ
+bench --weights a=column
+bench data/pillar --method extrud
+bench data/pillar data/pillar
 """
 
 
 def test_bad_use_ends_in_one_line(here, capsys):
     (here / "pickle.pt").write_bytes(b"\x80\x04nothing")
-    for words, told in rows(BAD_USE):
-        assert told in refused(capsys, words)
+    for (words,) in rows(BAD_USE):
+        refuses_command(capsys, words)
     (here / "data").rename("elsewhere")
-    assert "none under data/" in refused(capsys, "bench")
+    refuses_command(capsys, "bench")
 
 
 WITHOUT = (
@@ -143,13 +135,13 @@ WITHOUT = (
 
 
 @pytest.mark.checkout
-def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
+def test_without_an_extra_it_says_what_to_install(tmp_path, shell, made):
     (tmp_path / "without.py").write_text(WITHOUT)
     (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")
     (tmp_path / "drive.mcap").touch()
     for extra, *words in (
         ("train", "train", "anything"),
-        ("train", "bench", "data", "--weights", "proposed"),
+        ("train", "bench", made, "--weights", "proposed"),
         ("mcap", "ingest", "drive.mcap"),
         ("fly", "my_command:fly"),
     ):
@@ -157,37 +149,3 @@ def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
         assert not ended.out
         assert "Traceback" not in ended.err
         assert f"pip install -e '.[{extra}]'" in ended.err
-
-
-def train_until_stopped(error):
-    """The command line, which answers signals as the installed script does, in a process and a
-    group of its own."""
-    os.setsid()
-    sys.stderr = error.open("w")
-    torch.set_num_threads(1)
-    words = "scenegen train --epochs 1000 --patience 3 --workers 1"
-    sys.argv = [*words.split(), *map(str, QUICK)]
-    stops.answer()
-    cli.main()
-
-
-def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
-    running = elsewhere(train_until_stopped, here / "error.txt")
-    while not (here / "runs" / "proposed" / "metrics.csv").exists():
-        assert running.is_alive()
-        time.sleep(0.1)
-    os.killpg(running.pid, signal.SIGTERM)  # as timeout(1) and Slurm do: loaders get it, too
-    running.join()
-    assert running.exitcode == 130
-    error = (here / "error.txt").read_text()
-    assert "the same command goes on with runs/proposed" in error
-    ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
-    assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
-    begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
-    fixed = dict.fromkeys(METRICS, 0.0) | {"loss": 1e9}  # patience runs out
-    monkeypatch.setattr("scenegen.model.training.loop.validate", lambda *given: fixed)
-    words = ("train", "--epochs", 1000, "--patience", 3, *QUICK)
-    ended, said, _ = run(capsys, *words)
-    assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
-    ended, said, _ = run(capsys, *words, "--json")
-    assert (ended, json.loads(said)["folder"]) == (0, "runs/proposed")  # it is complete already

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.sensors.catalogue import OS1_64
-from scenegen.dataset.parts import sensor_entry
+from scenegen.dataset.parameters import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, opened_once, unlike
 from scenegen.model.completion.protocol import PredictionError

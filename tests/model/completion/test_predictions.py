@@ -3,8 +3,6 @@
 import gc
 import resource
 import warnings
-from contextlib import nullcontext
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -13,12 +11,13 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
+from scenegen.base.errors import DatasetError
+from scenegen.cli.complete import complete_scans
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError
+from scenegen.model.bench.methods import Predicted
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.completion.scans import complete_all, predict_scan, read_scan
+from scenegen.model.completion.scans import predict_scan, read_scan, summary
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.methods import Predicted
 from tests.model.conftest import completer_of
 
 
@@ -34,11 +33,17 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     monkeypatch.setattr("scenegen.model.completion.predictions.stem_of", "{0}-0xx/{0}-{1}".format)
     dataset = Dataset(folders[1])
     net = completer_of(tmp_path / "net.safetensors", dataset.grid, variant=variant)
-    told = []
-    shown = nullcontext(SimpleNamespace(start=told.append, count=told.append))
+    counts = []
     for _ in range(2):
-        predict_split(net, folders[1], "test", tmp_path / "p", progress=lambda label: shown)
-    assert told == [5, 2, 2, 1, 0]
+        predict_split(
+            net,
+            dataset,
+            "test",
+            tmp_path / "p",
+            on_start=counts.append,
+            on_done=counts.append,
+        )
+    assert counts == [5, 2, 2, 1, 0]
     method = Predicted(tmp_path / "p")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
@@ -50,10 +55,76 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
             assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
 
 
+def flip(path):
+    with h5py.File(path, "a") as file:
+        file["tudf"][1, 3, 4, 5] += 1e-3
+
+
+def swap_rows(path):
+    with h5py.File(path, "a") as file:
+        file["tudf"][:] = file["tudf"][:][::-1]
+
+
+def swap_samples(path):
+    """All columns alike, so that each row is whole, under another number."""
+    with h5py.File(path, "a") as file:
+        for name in file:
+            file[name][:] = file[name][:][::-1]
+
+
+def put_nan(path):
+    with h5py.File(path, "a") as file:
+        file["occupancy_probability"][0, 0, 0, 0] = np.nan
+
+
+DAMAGES = (
+    flip,
+    swap_rows,
+    swap_samples,
+    put_nan,
+    lambda path: path.write_bytes(path.read_bytes()[:1000]),
+    lambda path: path.write_bytes(b""),
+    lambda path: path.write_bytes(path.with_name("test-00001.h5").read_bytes()),
+)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_predictions_are_made_again_and_refused_by_the_bench(
+    folders, net, tmp_path, damage, monkeypatch
+):
+    monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
+    out = tmp_path / "p"
+    predict_split(net, Dataset(folders[0]), "test", out)
+    whole = {path.name: path.read_bytes() for path in out.iterdir()}
+    damage(out / "test-00000.h5")
+    with pytest.raises(DatasetError, match=r"p\S*: "):
+        Predicted(out).check(Dataset(folders[0]), "test")
+    assert predict_split(net, Dataset(folders[0]), "test", out).damaged == ["test-00000.h5"]
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == whole
+
+
+def test_damaged_completions_of_scans_are_made_again(net, tmp_path, capsys):
+    given = {}
+    for name, at in (("a", 0.5), ("b", 1.5)):
+        np.save(tmp_path / f"{name}.npy", np.full((4, 3), at))
+        given[name] = read_scan(tmp_path / f"{name}.npy", [0, 0, 0])
+    out, tasks = tmp_path / "out", [(name, lambda name=name: given[name]) for name in given]
+    complete_scans(net, 2, tasks, out, True)
+    whole = {path.name: path.read_bytes() for path in out.glob("*.h5")}
+    with h5py.File(out / "a.h5", "a") as file:
+        file["tudf"][1, 2, 3] += 1e-3
+    complete_scans(net, 2, tasks, out, True)
+    assert capsys.readouterr().err.count("completed again") == 1
+    (out / "b.h5").write_bytes(whole["a.h5"])  # whole, and of another scan
+    complete_scans(net, 2, tasks, out, True)
+    assert capsys.readouterr().err.count("completed again") == 1
+    assert {path.name: path.read_bytes() for path in out.glob("*.h5")} == whole
+
+
 def test_maps_of_another_grid_are_refused(folders, tmp_path):
     net = completer_of(tmp_path / "net.safetensors", GridSpec(shape=(16, 16, 16)))
     with pytest.raises(DatasetError, match="train a network on this grid"):
-        predict_split(net, folders[0], "test", tmp_path / "p")
+        predict_split(net, Dataset(folders[0]), "test", tmp_path / "p")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
@@ -110,7 +181,9 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
         used = completed(net, tmp_path, "scan.npy", "out.h5")
     assert (used.inside, used.points, used.without) == (2, 7, 3)
     assert used.height_m is None
-    assert "2 outside the map; the sensor's height is unknown" in str(used)
+    lines = summary(net, [used])
+    assert lines[0] == "2 of 7 points used, 3 without a return, 2 outside the map"
+    assert "too few returns" in lines[1]
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match=r"none of 4 points is in the map \(4 are no returns\)"):
         completed(net, tmp_path, "scan.npy", "none.h5")
@@ -138,9 +211,9 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
         with pytest.raises(DatasetError, match=r"(json|h5): File too large"):
-            predict_split(net, folders[0], "train", tmp_path / "p")
+            predict_split(net, Dataset(folders[0]), "train", tmp_path / "p")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
-            complete_all(net, (2, [("s", lambda: given), ("t", lambda: given)]), tmp_path, 1, True)
+            complete_scans(net, 2, [("s", lambda: given), ("t", lambda: given)], tmp_path, True)
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -12,9 +12,7 @@ from scenegen.model.checkpoint import load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.data import Maps, opened
 
-SMALL = TrainConfig(
-    network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32", optimizer="muon"
-)
+SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
 
 
 def train(folders, config, out, device="cpu", **more):

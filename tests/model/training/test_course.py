@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import scenegen.model.training.loop
-from scenegen.errors import DatasetError
+from scenegen.base.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
@@ -25,16 +25,6 @@ def course(count=80, **settings):
 
 def rates(of, decay=None):
     return [of.rate(step, decay) for step in range(of.end(decay))]
-
-
-def test_a_cosine_rises_then_falls_to_nothing():
-    found = rates(course(lr=2.0, warmup_share=0.1, epochs=10, schedule="cosine"))
-    assert len(found) == 100
-    assert found[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
-    assert found[10] == 2.0
-    assert found[55] == pytest.approx(1.0)
-    assert found[10:] == sorted(found[10:], reverse=True)
-    assert 0 < found[-1] < 1e-3
 
 
 def test_a_constant_rate_has_no_warm_up_and_ends_where_validation_stalls():

@@ -11,11 +11,9 @@ import pytest
 import torch
 
 from lidarsim import Lidar
-from scenegen.dataset.build import build
-from scenegen.dataset.choose import Choice
-from scenegen.dataset.gather import plan_take
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.dataset.read import Dataset
-from scenegen.errors import DatasetError, ScenegenError
+from scenegen.dataset.selection import Choice, choose, encode_selection
 from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
@@ -146,12 +144,9 @@ def test_weights_that_are_no_proportion_are_refused(folders, weight):
     assert str(folders[0]) in str(error.value)
 
 
-def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path):
-    first = make_dataset(tmp_path / "first")
-    build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
+def test_a_dataset_and_a_selection_of_it_are_not_read_together(folders, tmp_path):
+    few, choice, dataset = tmp_path / "few.json", Choice(most=2), Dataset(folders[0])
+    few.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
     for read in (partial(opened, split="train"), train):
-        with pytest.raises(
-            DatasetError, match="hold the same sample; leave one of the two datasets out, or make"
-        ):
-            read([first, tmp_path / "few"])
-    assert len(opened([tmp_path / "few"], "train")) == 1
+        with pytest.raises(DatasetError, match="holds the same samples as"):
+            read([folders[0], few])

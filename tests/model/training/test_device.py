@@ -13,7 +13,7 @@ from scenegen.model.network import Network
 from scenegen.model.training.device import Group, autocast, resolve_precision
 from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere, maps_of
-from tests.scenegen.run.slurm_here import free_port
+from tests.scenegen.base.slurm_here import free_port
 
 
 def take_a_step(folders, out, environment):
@@ -26,7 +26,7 @@ def take_a_step(folders, out, environment):
         maps = maps_of(folders)
         torch.manual_seed(0)
         config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, lovasz=1.0))
-        network = Network(config.network)
+        network = Network(config.network).eval()  # on CPUs, batch norms are each process's own
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
         learn = Step(network, optimizer, config, maps.grid, group)
         batch = {name: torch.stack([maps[n][name] for n in range(4)]) for name in maps[0]}
@@ -52,8 +52,8 @@ def test_processes_get_equal_shares(folders):
 
 
 def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):
-    """Gradients, losses and the statistics of batch norms are the whole batch's, and so is the
-    Eikonal term, whose voxels are not shared evenly."""
+    """Gradients and losses are the whole batch's, and so is the Eikonal term, whose voxels are not
+    shared evenly."""
     torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
     ranks = [
         elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)})

@@ -14,10 +14,10 @@ import torch
 
 import scenegen.model.training.loop
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, StoppedError
+from scenegen.base.errors import DatasetError, StoppedError
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.checkpoint import load_network, load_tensors
 from scenegen.model.config import LossConfig, NetworkConfig
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
 from scenegen.model.training.data import LoaderError, opened
@@ -131,15 +131,18 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
 def test_a_run_keeps_what_it_was_begun_with_where_nothing_else_is_asked_for(
     folders, tmp_path, uninterrupted
 ):
-    """In 0.2.0, settings named no optimiser."""
+    """Its precision, whatever the device; and earlier versions named a stem stride."""
     shutil.copytree(uninterrupted, tmp_path / "run")
     config = tmp_path / "run" / "config.json"
     old = config.read_text().replace('"float32"', '"bfloat16"')
-    config.write_text(old.replace('"optimizer": "muon",', ""))
-    asked = dataclasses.replace(SMALL, precision="auto", optimizer="auto")
+    config.write_text(old.replace('"heads": 4', '"stem_stride": 2, "heads": 4'))
+    asked = dataclasses.replace(SMALL, precision="auto")
     train(folders, asked, tmp_path / "run")
     with pytest.raises(DatasetError, match="optimizer is "):
-        train(folders, dataclasses.replace(asked, optimizer="muon"), tmp_path / "run")
+        train(folders, dataclasses.replace(asked, optimizer="adamw"), tmp_path / "run")
+    config.write_text(old.replace('"heads": 4', '"stem_stride": 1, "heads": 4'))
+    with pytest.raises(DatasetError, match="stem_stride = 1: networks have 2"):
+        train(folders, asked, tmp_path / "run")
 
 
 def train_and_be_killed(folders, out):
@@ -194,7 +197,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(folders, tmp_pat
     monkeypatch.setattr(
         scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)}
     )
-    config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="cosine")
+    config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="constant")
     rows = train(folders[:1], config, tmp_path / "run")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
     assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
@@ -220,7 +223,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     load_tensors(out / "best.safetensors")  # finite, or it is refused
 
 
-def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
+def test_running_out_of_memory_ends_in_a_line(folders, tmp_path, monkeypatch):
     honest = Coupled.__call__
 
     def hungry(loss, output, batch):
@@ -230,7 +233,7 @@ def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Coupled, "__call__", hungry)
     config = dataclasses.replace(SMALL, batch=12)
-    with pytest.raises(TrainingError, match="a batch of 12 does not fit; --batch 3 does"):
+    with pytest.raises(TrainingError, match="a batch of 12 does not fit; give a smaller --batch"):
         train(folders, config, tmp_path / "run")
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from tests.command_line import ROOT, process
 from tests.model.training.runs import check_same, figures
-from tests.scenegen.run import slurm_here
-from tests.scenegen.run.slurm_here import free_port
+from tests.scenegen.base import slurm_here
+from tests.scenegen.base.slurm_here import free_port
 
 pytestmark = pytest.mark.slow
 TORCHRUN = (sys.executable, "-m", "torch.distributed.run")

@@ -6,8 +6,8 @@ import shutil
 import pytest
 import torch
 
-from scenegen import files
-from scenegen.errors import DatasetError
+from scenegen.base import files
+from scenegen.base.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.network import Network
 from scenegen.model.training.run_folder import Progress, RunFolder

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader
 
 import scenegen
 import scenegen.model.training.loop
-from scenegen.errors import DatasetError, GenerationError, StoppedError
+from scenegen.base.errors import DatasetError, GenerationError, StoppedError
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher

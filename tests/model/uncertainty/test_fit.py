@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.model.evaluation.calibrate import count_logits, fit_temperature
+from scenegen.model.bench.calibrate import count_logits, fit_temperature
 
 
 @pytest.mark.parametrize("temperature", [0.5, 2.5])

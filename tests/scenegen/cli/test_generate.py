@@ -4,6 +4,7 @@ import json
 import time
 from pathlib import Path
 
+import msgspec
 import mujoco
 import pytest
 
@@ -11,6 +12,7 @@ from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import SMALL, done, example, refused, rows, run
+from tests.scenegen import cases
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
@@ -72,17 +74,7 @@ def test_bad_use_ends_in_one_line(words, told, tmp_path, capsys):
     assert not (tmp_path / "d").exists()
 
 
-BAD_SCENES = """
-<mujoco><worldbody>  → not valid MJCF
-<mujoco/>            → no geom that rays can see
-<mujoco><worldbody><geom type="box" size="1 1 1"/></worldbody></mujoco> → no flight fits between
-<mujoco><asset><mesh file="gone.obj"/></asset></mujoco>  → gone.obj
-<mujoco><worldbody><geom size="1"/><geom name="ghost" size="1" pos="9 0 0" rgba="1 1 1 0"/>\
-</worldbody></mujoco> → cannot see geom ghost
-"""
-
-
-@pytest.mark.parametrize(("document", "told"), rows(BAD_SCENES))
+@pytest.mark.parametrize(("document", "told"), cases("cli/generate_bad_scenes"))
 def test_a_bad_scene_ends_in_one_line(document, told, tmp_path, capfd):
     (tmp_path / "s.xml").write_text(document)
     command = f"generate --scene {tmp_path / 's.xml'} --n 5 --out {tmp_path / 'd'} --quiet"
@@ -118,7 +110,7 @@ def test_folders_under_data_without_samples_are_left_out(made, tmp_path, monkeyp
     full, begun = Path("data/full"), Path("data/begun")
     begun.mkdir(parents=True)
     full.symlink_to(made)
-    empty = {"shards": [], "complete": False, "digest": None}
-    manifest.write(begun, manifest.read(made) | empty)
-    assert find_datasets((), shown=True) == (full,)
+    empty = {"shards": (), "complete": False, "digest": None}
+    manifest.write(begun, msgspec.structs.replace(manifest.load(made), **empty))
+    assert [dataset.name for dataset in find_datasets((), shown=True)] == [str(full)]
     assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

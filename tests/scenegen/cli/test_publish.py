@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from tests.command_line import refused, rows, run
+from tests.command_line import refused, run
+from tests.scenegen import cases
 
 
 @pytest.mark.usefixtures("verified", "undrawn")
@@ -13,7 +14,7 @@ def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
     code, said, notes = run(capsys, f"{command} --workers 1")
     assert code == 0
     assert "Wrote publish/pillars. Nothing is uploaded (--dry-run)." in notes
-    for name in ("train-*.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v1-"):
+    for name in ("train-*.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v2-"):
         assert name in said
     code, said, _ = run(capsys, f"{command} --json --tag v7")
     found = json.loads(said)
@@ -22,18 +23,9 @@ def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
         assert (standing / "publish/pillars" / name).stat().st_size == size
 
 
-BAD_USE = """
-publish MADE                        → --repo
-publish MADE --repo ada/pillars     → no token for the Hub
-publish MADE --repo ada/pillars --dry-run --licence mine → CC-BY-4.0
-inspect ada/pillars                 → ada/pillars: not a dataset
-inspect hf://ada/pillars            → hf://ada/pillars: RepositoryNotFoundError
-"""
-
-
 def test_bad_use_ends_in_one_line(standing, made, hub, verified, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
-    for words, told in rows(BAD_USE):
+    for words, told in cases("cli/publish"):
         assert told in refused(capsys, words.replace("MADE", str(made)))
     assert not (standing / "publish").exists()
     assert not [line for line in hub.log if line.startswith(("POST", "PUT"))]

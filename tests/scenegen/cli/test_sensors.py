@@ -13,8 +13,9 @@ from lidarsim import BeamTable
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
-from scenegen.display.pictures import draw_patterns
-from tests.command_line import ROOT, SMALL, done, refused, rows
+from scenegen.view.pictures import draw_patterns
+from tests.command_line import ROOT, SMALL, done, refused
+from tests.scenegen import cases
 from tests.scenegen.worlds.test_octomap import written
 
 ROOM = """<mujoco><worldbody>
@@ -85,12 +86,12 @@ def test_the_docs_have_the_pattern_of_every_sensor():
 def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1 --recipe"
     done(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")
-    made = Dataset(here / "d").manifest.parameters["lidar"]
+    made = Dataset(here / "d").manifest.tables.lidar
     assert (made["made_by"], made["shape"]) == ("robosense-helios-16p", [16, 1800])
     lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
     (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
     done(capsys, f"{command} in.toml --out e")
-    made = Dataset(here / "e").manifest.parameters["lidar"]
+    made = Dataset(here / "e").manifest.tables.lidar
     assert made["made_by"] == "robosense-helios-16p(max_range_m=20.0)"
 
 
@@ -112,20 +113,6 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, caps
     assert b"VIEWPOINT 1.0 2.0 0.8 1" in (here / "held.pcd").read_bytes()
 
 
-def test_a_scan_has_no_returns_from_nearer_than_its_sensor_sees(here, capsys):
-    text = FILES["mine.toml"].replace("max_range_m = 30.0", "max_range_m = 30.0\nmin_range_m = 8.5")
-    (here / "far.toml").write_text(text)
-    scans = [
-        json.loads(done(capsys, f"{AT} --lidar {name}.toml -o {name}.npz --json"))
-        for name in ("mine", "far")
-    ]
-    ranges = np.linalg.norm(np.load(here / "mine.npz")["points"], axis=1)
-    assert [scan["returns"] for scan in scans] == [len(ranges), (ranges >= 8.5).sum()]
-    assert [scan["returns_too_near"] for scan in scans] == [0, (ranges < 8.5).sum()]
-    assert 0 < scans[1]["returns"] < len(ranges)
-    assert len(np.load(here / "far.npz")["points"]) == scans[1]["returns"]
-
-
 def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
     def place(seed):
         said = done(capsys, f"scan room.xml --flight --seed {seed} --json")
@@ -142,24 +129,7 @@ def test_poses_in_a_flight_follow_one_another(here):
     assert np.median(steps) > 0.49
 
 
-REFUSED = """
-generate --quiet --recipe small.toml --lidar mine.toml → leave one of
-generate --quiet --recipe arm.toml                     → lever_arm_m
-sensors taken.toml           → take that one with sensor = "livox-avia"
-sensors nameless.toml        → say which sensor it is
-sensors family.toml          → give your sensor a name of its own
-sensors small.toml           → expected its parameters at the top
-sensors velodine-vlp-16      → did you mean 'velodyne-vlp-16'
-scan piller --flight         → did you mean 'pillar'
-scan room.xml --flight --noise rnage:1    → did you mean 'range'
-scan room.xml --flight --engine no_such:X → there is no module no_such
-scan room.xml                → --pose X,Y,Z,YAW and --flight
-scan room.xml --pose 1,2,3,nan → is not a finite number
-scan room.xml --flight -o a.las → .ply, .pcd, .bin, .npz
-"""
-
-
-@pytest.mark.parametrize(("words", "told"), rows(REFUSED))
+@pytest.mark.parametrize(("words", "told"), cases("cli/sensors"))
 def test_what_cannot_be_ends_in_one_line(words, told, here, capsys):
     before = set(here.iterdir())
     assert told in refused(capsys, words)

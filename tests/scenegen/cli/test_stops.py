@@ -39,7 +39,7 @@ while True:
 """
 NOTED = """
 import time
-from scenegen.run import undone_if_stopped
+from scenegen.base.executors import undone_if_stopped
 from scenegen.cli import stops
 stops.answer()
 with stops.noted() as asked, undone_if_stopped(lambda: print("undone", flush=True)):

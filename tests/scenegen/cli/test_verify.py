@@ -26,4 +26,3 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, c
     left = [check["name"] for check in report["checks"] if check["skipped"]]
     assert left == ["names", "centred", "laws", "duplicates", "flights", "accepted"]
     assert "not a dataset, there is no such" in refused(capsys, f"verify {tmp_path}/nowhere")
-    assert f"did you mean {folder}?" in refused(capsys, f"verify {tmp_path}")

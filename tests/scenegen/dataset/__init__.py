@@ -1,0 +1,46 @@
+"""What tests of datasets share."""
+
+import functools
+import json
+import operator
+
+from scenegen.base.reading import sha256_of
+from scenegen.draw.sample import GROUPS
+
+FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
+
+SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
+<geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
+<geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
+"""A world, as the text of a file."""
+NASTY = (
+    "null",
+    "-1",
+    "1e308",
+    '"x"',
+    '"../x"',
+    "[]",
+    "[[1]]",
+    "{}",
+    '{"a": 1}',
+    "true",
+    r'"\u0000"',
+)
+"""JSON that stands in no file of ours at that place."""
+
+
+def samples_of(dataset, split):
+    """A split's samples, each by a digest of all its fields but the number of its world."""
+    return [
+        sha256_of(b"".join(getattr(sample, name).tobytes() for name in FIELDS_OF_ANY))
+        + str(sample.viewpoint)
+        for sample in dataset.split(split)
+    ]
+
+
+def put(file, path, value):
+    """Put what the JSON `value` says at a dotted path of a JSON file."""
+    document = json.loads(file.read_text())
+    *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
+    functools.reduce(operator.getitem, above, document)[last] = json.loads(value)
+    file.write_text(json.dumps(document))

@@ -5,9 +5,9 @@ import zipfile
 
 import pytest
 
+from scenegen.base.errors import BrokenError
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.shard import zip_reproducibly
-from scenegen.errors import BrokenError
 
 
 @pytest.mark.parametrize("number", [0, 17, 999_999, 1_000_000, 199_999_999])

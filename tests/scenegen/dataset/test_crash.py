@@ -9,11 +9,11 @@ import sys
 import h5py
 import pytest
 
-from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.shard import read_report
 from tests.conftest import picky_recipe, plan_of
 from tests.scenegen.conftest import names
+from tests.scenegen.verification.forge import read
 
 COUNTS = {"train": 6, "val": 0, "test": 3}
 SEED = 19
@@ -52,7 +52,7 @@ def killed(folder, at):
 def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
     whole, expected = plan(tmp_path / "whole"), build(plan(tmp_path / "whole"))
     for shard in whole.shards:
-        rejected = read_report((shard, None)).rejected
+        rejected = read_report(whole.folder, (shard, None)).rejected
         assert min(counts.total() for counts in rejected.values()) > 0
     written = []
     while killed(folder := tmp_path / f"killed-{len(written)}", len(written)):
@@ -61,7 +61,7 @@ def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
                 assert len(file["world"]) > 0
         resumed = build(plan(folder))
         assert resumed.digest == expected.digest
-        assert manifest.read(folder) == manifest.read(whole.folder)
+        assert read(folder) == read(whole.folder)
         assert names(folder) == names(whole.folder)
         written.append(resumed.samples_written)
     assert len(written) >= 12  # six files, each begun and put in its place

@@ -9,8 +9,8 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from scenegen.dataset.archive import DOCUMENT, write_extracted
-from scenegen.errors import DatasetError
 from scenegen.worlds.scene import load_scene
+from tests.scenegen import refuses
 from tests.scenegen.conftest import names
 
 SCENE = """
@@ -61,9 +61,12 @@ def test_what_stands_beside_the_output_is_left_alone(files, tmp_path):
     assert (tmp_path / "train.py").read_text() == "mine"
     assert within.read_bytes() == b"theirs"
     within.write_text("mine")
-    with pytest.raises(DatasetError, match=r"train.py: is there and another file; give another -o"):
-        write_extracted(theirs, tmp_path / "world.xml")
+    refuses(
+        r"train.py: is there and another file; give another -o",
+        write_extracted,
+        theirs,
+        tmp_path / "world.xml",
+    )
     assert within.read_text() == "mine"
     (tmp_path / "other.files").write_text("mine")
-    with pytest.raises(DatasetError, match="choose another place"):
-        write_extracted(files, tmp_path / "other.xml")
+    refuses("choose another place", write_extracted, files, tmp_path / "other.xml")

@@ -6,25 +6,20 @@ import dataclasses
 import h5py
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
-from scenegen.dataset import manifest
-from scenegen.dataset.build import build
+from scenegen.dataset.like import scan_again
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.draw import UnitKey
-from scenegen.errors import DatasetError, GenerationError, RecipeError
-from scenegen.recipe import make_recipe, read_recipe
-from scenegen.share.regenerate import check_source, source_file
+from scenegen.draw.unit import UnitKey
 from scenegen.truth import rasterize
 from scenegen.verification import verify
-from scenegen.worlds.flight import Route
-from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
-from tests.command_line import done, refused, rows
+from scenegen.worlds.recipe import make_recipe
+from tests.command_line import done, refused
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -53,9 +48,6 @@ def several(tmp_path_factory):
 
 
 def test_more_scans_show_more_of_the_same_maps(made, several):
-    plain, found = manifest.read(made), manifest.read(several)
-    assert (plain["version"], found["version"]) == (1, 1.3)
-    assert ("mapping" in plain, found["mapping"]["scans"]) == (False, 4)
     more = 0
     both = (Dataset(folder).split("train") for folder in (made, several))
     for one, other in zip(*both, strict=True):
@@ -124,49 +116,11 @@ def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
         assert len({each.tobytes() for each in drawn}) == 3
 
 
-def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fewer(
-    made, several, tmp_path
-):
-    dataset = Dataset(several)
-    same = build(plan_rescan(dataset, tmp_path / "same"))
-    assert same.digest == dataset.manifest.digest
-    one = build(plan_rescan(dataset, tmp_path / "one", mapping={"scans": 1}))
-    assert one.digest == Dataset(made).manifest.digest
-    fewer = plan_rescan(dataset, tmp_path / "fewer", mapping={"scans": 2, "fusion": "log-odds"})
-    recipe = recipe_with(scans=2, scan_spacing_m=0.7, fusion="log-odds")
-    drawn = made_with(tmp_path / "drawn", recipe, counts=COUNTS)
-    assert build(fewer).digest == drawn.manifest.digest
-    ahead = {"map_ahead_m": (1.0, 0.0, 0.0)}
-    build(plan_rescan(Dataset(made), tmp_path / "ahead", mapping=ahead))
-    assert not failed(fewer.folder) | failed(tmp_path / "ahead")
-
-
-def test_scanned_again_with_more_scans_the_flight_is_flown_again(made, several, tmp_path):
-    more = plan_rescan(Dataset(made), tmp_path / "more", mapping=SEVERAL)
-    assert build(more).digest == Dataset(several).manifest.digest
-    moved = forge.copy(made, tmp_path / "moved")
-    forge.edit(moved, "train-00000.h5", lambda arrays: np.add.at(arrays["position"], 1, 1e-9))
-    with pytest.raises(GenerationError, match="train flight 0 comes out otherwise here"):
-        build(plan_rescan(Dataset(moved), tmp_path / "no", mapping={"scans": 2}))
-    assert not (tmp_path / "no").exists()
-
-
-def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path):
-    recipe = recipe_with(**SEVERAL)
-    labelled = dataclasses.replace(recipe, labels=labels_by("name", ()))
-    unit, plain = (drawn_unit(each).samples[1] for each in (labelled, recipe))
-    assert_array_equal(unit.return_geom >= 0, np.isfinite(unit.ranges))
-    assert unit.sha256() != plain.sha256()
-    changed = dataclasses.replace(plain, earlier_position=plain.earlier_position + 1e-9)
-    assert changed.sha256() != plain.sha256()
-    assert not failed(made_with(tmp_path / "d", labelled).folder)
-
-
 @pytest.mark.parametrize(
     ("heading", "shift"), [((1, 0), (5, 2, -1)), ((0, 1), (-2, 5, -1)), ((0, -1), (2, -5, -1))]
 )
 def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, shift):
-    """Five voxels ahead, two to the left, one down; a body that leans has the same map."""
+    """Five voxels ahead, two to the left, one down."""
     recipe = small_recipe(
         mapping={"map_ahead_m": (1.0, 0.4, -0.2)}, world={"density": (0.15, 0.15)}
     )
@@ -180,20 +134,9 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, sh
     window = tuple(map(slice, begin, begin + recipe.grid.shape))
     assert_array_equal(sample.occupancy, whole[window])
     assert 0.005 < sample.occupancy.mean() < 0.9
-    ahead = Route(np.add(pose.position, [(0, 0, 0), (*heading, 0)]))
-    leaning = ahead.pose(0, Mapper(tilt_mps=3.0))
-    assert abs(leaning.quaternion[1:3]).max() > 0.05
-    assert_allclose(recipe.mapping.origin(recipe.grid, leaning), sample.origin, atol=1e-12)
 
 
-CHANGED = """
-earlier_ranges     → -0.6 → digest voxels rays regenerated
-earlier_position   → 0.4  → digest voxels regenerated
-earlier_quaternion → 0.4  → digest centred
-"""
-
-
-@pytest.mark.parametrize(("field", "change", "checks"), rows(CHANGED))
+@pytest.mark.parametrize(("field", "change", "checks"), cases("dataset/mapping_changed"))
 def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, change, checks):
     folder = forge.copy(several, tmp_path / "d")
     with h5py.File(folder / "train-00000.h5", "r+") as file:
@@ -201,39 +144,21 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
     assert {*checks.split()} <= failed(folder).keys()
 
 
-WRONG = """
-version             → 1                → version = 1: expected 1.3 with mapping
-mapping             → null             → version = 1.3: expected 1 with nothing of a minor version
-mapping             → {"scans": 4}     → mapping.fusion is missing
-mapping.scans       → 1                → mapping: expected exactly where `fields` names those of
-mapping.scans       → 5                → earlier_ranges is float32
-mapping.hit         → 0.1              → mapping.hit = 0.1: expected
-mapping.odd         → 1                → mapping: unknown parameter 'odd'
-mapping.map_ahead_m → [99.0, 0.0, 0.0] → lies beyond the sensor's range
-"""
-
-
-@pytest.mark.parametrize(("path", "value", "told"), rows(WRONG))
+@pytest.mark.parametrize(("path", "value", "told"), cases("dataset/mapping"))
 def test_a_strangers_word_is_not_trusted(several, tmp_path, path, value, told):
     folder = forge.edit_at(forge.copy(several, tmp_path / "d"), path, value)
-    with pytest.raises(DatasetError, match=told):
-        _ = Dataset(folder).split("train")[0].observed
+    refuses(told, lambda: Dataset(folder).split("train")[0].observed)
 
 
 def test_too_many_rays_are_refused():
     tables = {"mapping": {"scans": 100}, "lidar": {"rows": 1000, "columns": 100}}
-    with pytest.raises(RecipeError, match=r"scans = 100: of 100000 rays each; expected 40 at most"):
-        make_recipe("pillar", tables, where="test")
-
-
-def test_a_recipe_says_it_and_is_published(several, tmp_path):
-    dataset, path = Dataset(several), tmp_path / "my.toml"
-    name, text = source_file(dataset.manifest)
-    path.write_text(text)
-    assert read_recipe(path).mapping == dataset.manifest.mapping == Mapper(**SEVERAL)
-    check_source(dataset, name, text)
-    with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans is given beside it"):
-        read_recipe(path, mapping={"scans": 2})
+    refuses(
+        r"scans = 100: of 100000 rays each; expected 40 at most",
+        make_recipe,
+        "pillar",
+        tables,
+        where="test",
+    )
 
 
 def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small, tmp_path, capsys):
@@ -243,9 +168,6 @@ def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small,
     mapping = Dataset(tmp_path / "d").manifest.mapping
     expected = {"scans": 3, "scan_spacing_m": 0.2, "fusion": "log-odds", "tilt_mps": 2.0}
     assert mapping == Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
-    done(capsys, f"rescan {tmp_path}/d --fusion visibility -o {tmp_path}/e --quiet")
-    again = Dataset(tmp_path / "e").manifest.mapping
-    assert again == dataclasses.replace(mapping, fusion="visibility")
     for option in ("--scans 0", "--map-ahead 99,0,0"):
         refused(capsys, f"{command} {option} --force")
         assert Dataset(tmp_path / "d").manifest.mapping == mapping  # what was there is not lost

@@ -10,11 +10,12 @@ from numpy.testing import assert_array_equal, assert_equal
 import scenegen
 from lidarsim import Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED
-from scenegen.errors import ScenegenError
+from scenegen.base.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course
-from tests.command_line import example, rows
+from tests.command_line import example
 from tests.conftest import hall_in
+from tests.scenegen import cases
 
 gymnasium = pytest.importorskip("gymnasium")
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -110,42 +111,6 @@ def test_a_copy_flies_on_as_the_original(name, copied, tmp_path):
     assert_equal(flown(other, actions), flown(env, actions))
 
 
-MISUSE = """
-make(worlds=3)               → unknown option 'worlds'; did you mean 'world'
-make(seed=3)                 → unknown option 'seed'
-make(flights=3)              → unknown option 'flights'
-make(world=5)                → world = 5: expected text
-make(world=["pillar"])       → world = ['pillar']: expected text
-make(world="forrest")        → did you mean 'forest'
-make(world="no.xml")         → no.xml: no such file
-make(difficulty="harder")    → difficulty = 'harder': expected
-make(lidar=3)                → lidar = 3: expected a sensor
-make(lidar="os9")            → unknown sensor 'os9'
-make(noise=3)                → noise = 3: expected text
-make(noise="fog")            → unknown noise stage 'fog'
-make(moving="yes")           → moving = 'yes': expected true or false
-make(vehicle={"radius_m": 1}) → vehicle = {'radius_m': 1}: expected an instance of Vehicle
-make(rules=None)             → rules = None: expected an instance of Rules
-make(periods=11)             → periods = 11: expected a whole number from 1 to 10
-make(periods=True)           → periods = True: expected a whole number from 1 to 10
-make(render_mode="human")    → render_mode = 'human': expected None
-env.step([0, 0, 0, 0])       → step: no flight is under way (none has begun); call reset first
-env.render()                 → renders nothing
-env.reset(options=[1])       → options = [1]: expected a dictionary
-env.reset(options={"sed": 1})    → unknown option 'sed'; did you mean 'seed'
-env.reset(options={"seed": "x"}) → seed = 'x': expected a whole number
-env.reset(options={"seed": -1})  → seed = -1: expected a whole number
-env.reset(options={"world": 3})  → world = 3: expected text
-begun.step([0, 0, 0])        → action = [0, 0, 0]: expected finite numbers, of shape (4,)
-begun.step([[0, 0, 0, 0]])   → expected finite numbers, of shape (4,)
-begun.step([0, 0, 0, np.nan]) → action = [0, 0, 0, nan]: expected finite numbers
-begun.step(["1", 0, 0, 0])   → action = ['1', 0, 0, 0]: expected finite numbers
-begun.step(np.zeros((10, 4))) → expected finite numbers, of shape (4,)
-begun.step(None)             → action = None: expected finite numbers
-ended.step([0, 0, 0, 0])     → no flight is under way (it ended: left); call reset first
-"""
-
-
 @pytest.fixture(scope="module")
 def states():
     """An environment before its first flight, one in a flight, and one after it."""
@@ -159,7 +124,7 @@ def states():
     return found
 
 
-@pytest.mark.parametrize(("code", "message"), rows(MISUSE))
+@pytest.mark.parametrize(("code", "message"), cases("fly/environment"))
 def test_misuse_ends_in_one_line(states, code, message):
     with pytest.raises(ScenegenError) as caught:
         eval(code, {"make": scenegen.Flight, "np": np, **states})

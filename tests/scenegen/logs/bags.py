@@ -101,17 +101,24 @@ class Bag:
         return path
 
 
-def drive(times_of=None, scans=6, points=200, **clouds):
-    """A bag of a sensor that moves by `SPEED_MPS` among standing points, each seen at a time of its
-    own; and where the points are from the sensor as the scan begins, scan by scan. `times_of` makes
-    fields of these times, in seconds after the stamp, and of the stamp."""
-    rng, bag, truth = np.random.default_rng(0), Bag(), []
+def sweeps(scans=6, points=200):
+    """Scans of a sensor that moves by `SPEED_MPS` among standing points: the stamp, when each point
+    is seen after it, where the sensor sees it, and where it is from the sensor as the scan
+    begins."""
+    rng = np.random.default_rng(0)
     for n in range(scans):
-        stamp = BEGIN_S + n * PERIOD_S
         after = np.sort(rng.uniform(0, 0.995 * PERIOD_S, points))
         after[0], after[-1] = 0, 0.995 * PERIOD_S
         from_start = rng.uniform(2, 8, (points, 3)) * rng.choice([-1, 1], (points, 3))
         seen = from_start - np.outer(after * SPEED_MPS, [1, 0, 0])
+        yield BEGIN_S + n * PERIOD_S, after, seen, from_start
+
+
+def drive(times_of=None, **clouds):
+    """A bag of such scans, and where their points are as each begins. `times_of` makes fields of
+    the times of points, and of the stamp."""
+    bag, truth = Bag(), []
+    for stamp, after, seen, from_start in sweeps():
         bag.cloud(stamp, seen, **(times_of(after, stamp) if times_of else {}), **clouds)
         truth.append(from_start)
     return bag, truth

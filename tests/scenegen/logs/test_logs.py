@@ -7,7 +7,6 @@ import math
 import os
 import shutil
 import signal
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,22 +15,18 @@ import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import MID_360
-from scenegen.display.exchange.files import write_points
-from scenegen.errors import DatasetError
+from scenegen.draw.source import read_world
 from scenegen.logs import Cruise, Fusing, LogScan
-from scenegen.logs.bags import LIVOX, _of_cloud
-from scenegen.logs.frames import Links, pose_at
+from scenegen.logs.bags import DEFINITIONS, LIVOX, TRANSFORMS
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log
-from scenegen.logs.messages import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.logs.read import read_log
-from scenegen.logs.record import cruise_poses, record
-from scenegen.logs.times import find_clock
-from scenegen.logs.write import matrix_of, write_log
-from scenegen.source import read_world
+from scenegen.logs.record import cruise_poses, matrix_of, record, write_log
+from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.place import read_place
-from tests.command_line import done, refused, rows
+from tests.command_line import done, refused
 from tests.conftest import contents
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import names
 
 # no face of a solid lies where voxels meet
@@ -64,14 +59,6 @@ def here(standing):
 def ros():
     """Needed to read and write recordings."""
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-
-
-def test_a_kind_s_world_is_scanned_by_its_seed(here, capsys):
-    found = []
-    for n, seed in enumerate((3, 3, 4)):
-        done(capsys, f"scan pillar --pose 20,20,4,0 --seed {seed} --quiet -o {n}.ply")
-        found.append((here / f"{n}.ply").read_bytes())
-    assert found[0] == found[1] != found[2]
 
 
 def test_a_long_flight_keeps_its_bounds(here):
@@ -166,6 +153,7 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     clouds.mkdir()
     scans = written(log)
     assert close(read_log(log), scans)
+    refuses("leave out --topic", read_log, log, topic="/points")
     for scan in scans:
         write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points, None, {})
     rows = ["z,y,x,qw,qx,qy,qz,t,note"]
@@ -192,19 +180,6 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     assert close(read_log(log), scans)
 
 
-def test_numbers_in_names_are_no_times(tmp_path):
-    log, poses = tmp_path / "log", tmp_path / "poses.tum"
-    scans = written(log, 9)
-    poses.write_text("".join((log / "poses.tum").read_text().splitlines(keepends=True)[::2]))
-    found = list(read_log(log, poses=poses).scans())
-    assert [scan.time_s for scan in found] == [scan.time_s for scan in scans]
-    for one, other in zip(found[::2], scans[::2], strict=True):
-        assert np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
-    (log / "times.txt").unlink()
-    with pytest.raises(DatasetError, match="9 clouds and 5 poses"):
-        read_log(log, poses=poses)
-
-
 @pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
 def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
     rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
@@ -218,69 +193,6 @@ def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
     source = [tmp_path / "log.mcap"]
     rosbags.convert(source, out, "sqlite3", 9, None, "message", None, types, *chosen)
     assert close(read_log(tmp_path / form), scans)
-
-
-def test_poses_come_from_a_chain_of_frames():
-    def message(parent, child, time, pose):
-        place = SimpleNamespace(**named("xyz", pose.position))
-        turn = SimpleNamespace(**named("wxyz", pose.quaternion))
-        stamp = SimpleNamespace(sec=int(time), nanosec=round(1e9 * (time % 1)))
-        posed = SimpleNamespace(position=place, orientation=turn, translation=place, rotation=turn)
-        return SimpleNamespace(
-            header=SimpleNamespace(frame_id=parent, stamp=stamp),
-            child_frame_id=child,
-            pose=SimpleNamespace(pose=posed),
-            transform=posed,
-        )
-
-    links, mount = Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
-    mounted = message("base", "lidar", 0, mount)
-    # as with three digits
-    mounted.transform.rotation = SimpleNamespace(x=0.0, y=0.0, z=0.707, w=0.707)
-    blind = message("base", "camera", 0, mount)
-    blind.transform.rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
-    for said in ([], [mounted, blind]):
-        links.add("/tf_static", SimpleNamespace(transforms=said))
-    for time, yaw in ((5.0, 0.0), (6.0, 1.0)):
-        at = message("odom", "base", time, Pose.level((2 * time, 0.0, 0.0), yaw))
-        links.add("/wheels", message("odom", "base", time - 0.4, mount))
-        links.add("/tf", SimpleNamespace(transforms=[at]))
-    found = pose_at(links.chain("lidar"), 5.5)
-    assert found.position == pytest.approx([11, 0, 1])
-    assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
-    assert pose_at(links.chain("lidar"), 7.0) is None
-    with pytest.raises(ValueError, match="/tf_static: 'camera': row 1: expected"):
-        links.chain("camera")
-    with pytest.raises(ValueError, match="says where 'radar' is"):
-        links.chain("radar")
-
-
-TIMES = {
-    (-0.1, 7, -0.05): (-0.1, 0, -0.05),  # before the stamp, as Velodyne's
-    (0.03, 0, 0.1): (0.03, 0, 0.1),  # rays before the first return met nothing
-    (2000.9, 0, 2001): (-0.1, 0, 0),  # the clock's, and none of what returned nothing
-    (2e15, 0, 2e15 + 1e8): (0, 0, 0.1),  # nanoseconds of another clock, as Livox's
-}
-
-
-@pytest.mark.parametrize("told", TIMES)
-def test_times_of_points_are_seconds_after_the_stamp(told):
-    rows = np.array([told] * 4).T
-    rows[0, 0] += 1e-3
-    rows[1, 0] = np.nan
-    fields = [
-        SimpleNamespace(name=name, offset=8 * n, datatype=POINT_TYPES.index("f8"))
-        for n, name in enumerate([*"xyz", "time"])
-    ]
-    sizes = {"height": 1, "width": 3, "point_step": 32, "row_step": 96}
-    head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
-    more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
-    cloud = SimpleNamespace(fields=fields, **sizes, **more)
-    raw = _of_cloud(cloud).times
-    assert find_clock([raw], 0.1).seconds(raw) == pytest.approx(TIMES[told], abs=1e-6)
-    cloud.point_step = 0  # points without end in few bytes
-    with pytest.raises(ValueError, match="expected points of 32 or more"):
-        _of_cloud(cloud)
 
 
 def test_rays_without_a_return_change_no_map(tmp_path):
@@ -346,7 +258,7 @@ def ingest_and_be_killed(log, out, at):
         if next(seen) == at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    ingest(read_log(log), out, NEAR, on_scan=count)
+    ingest(read_log(log), out, NEAR, on_done=count)
 
 
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
@@ -363,45 +275,24 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
             ingest_and_be_killed(log, out, at)
         assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
     assert not out.exists()
-    with pytest.raises(DatasetError, match="other options"):
-        ingest(read_log(log), out, dataclasses.replace(NEAR, every=3))
+    refuses("other options", lambda: ingest(read_log(log), out, dataclasses.replace(NEAR, every=3)))
     done = []
-    assert ingest(read_log(log), out, how, on_scan=done.append) == counts
+    assert ingest(read_log(log), out, how, on_done=done.append) == counts
     assert done[0] == 9
     assert not (tmp_path / "out.part").exists()
     cloud = log / "velodyne" / "000008.bin"
     content = cloud.read_bytes()
     cloud.write_bytes(content[:7])
-    with pytest.raises(DatasetError, match=r"000008\.bin: .*; mend it and .* from scan 8 of 12"):
-        ingest(read_log(log), mended, how)
+    refuses(
+        r"000008\.bin: .*; mend it and .* from scan 8 of 12",
+        lambda: ingest(read_log(log), mended, how),
+    )
     cloud.write_bytes(content)
     assert ingest(read_log(log), mended, how) == counts
     assert contents(out) == contents(mended) == contents(whole)
 
 
-POSE = "1 0 0 0 0 1 0 0 0 0 1 0;"
-DAMAGE = f"""
-poses.txt → gone                                → --poses
-poses.txt → {POSE * 4}                          → 5 clouds and 4 poses
-poses.txt → {POSE * 2} one two                  → line 3
-poses.txt → {POSE * 2} {"nan " * 12}            → line 3
-poses.txt → {POSE} {"2 " * 12}                  → line 2: expected a rotation
-poses.txt → {"1 0 0 1e9 0 1 0 0 0 0 1 0;" * 5}  → subtract the first
-poses.txt → {"1 2 3 4 5;" * 5}                  → 5 columns
-poses.txt →                                     → no numbers
-times.txt → 1; 2                                → 2 times
-times.txt → 1; 2; 4; 3; 5                       → before the one above
-calib.txt → Tr: 1 2                             → 12 numbers
-calib.txt → P0: 1 2                             → calib.txt: has no line Tr; expected
-calib.txt → Tr_velo_to_cam: {POSE}              → data_odometry_calib.zip
-calib.txt → gone                                → calib.txt: no such file; expected
-velodyne  → gone                                → no clouds
-.         → gone                                → no such recording
-"""
-"""What stands in a file of a log, or that it is not there; and what is told."""
-
-
-@pytest.mark.parametrize(("file", "content", "expected"), rows(DAMAGE))
+@pytest.mark.parametrize(("file", "content", "expected"), cases("logs/logs"))
 def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, content, expected):
     written(tmp_path / "log")
     path = tmp_path / "log" / file
@@ -426,15 +317,19 @@ def test_what_poses_are_of_is_said_or_asked_for(tmp_path):
     (log / "calib.txt").write_text(images)
     assert close(read_log(log, poses_of="sensor"), scans)
     assert close(read_log(log, poses=log / "poses.txt"), scans)
-    with pytest.raises(DatasetError, match=r"no line Tr.*--poses-of sensor"):
-        read_log(log, poses=tmp_path / "camera.txt", poses_of="camera")
+    refuses(
+        r"no line Tr.*--poses-of sensor",
+        read_log,
+        log,
+        poses=tmp_path / "camera.txt",
+        poses_of="camera",
+    )
     row = " ".join(map(str, camera[:3].reshape(-1)))
     (log / "calib.txt").write_text(f"{images}Tr: {row}\n")
     assert close(read_log(log, poses=tmp_path / "camera.txt", poses_of="camera"), scans)
     assert close(read_log(log, poses=log / "poses.txt", poses_of="sensor"), scans)
     assert close(read_log(log, poses=log / "poses.tum"), scans)
-    with pytest.raises(DatasetError, match="expected --poses-of camera"):
-        read_log(log, poses=tmp_path / "camera.txt")
+    refuses("expected --poses-of camera", read_log, log, poses=tmp_path / "camera.txt")
     shutil.copy(tmp_path / "camera.txt", log / "poses.txt")
     assert close(read_log(log), scans)
     about = read_log(log).about
@@ -472,8 +367,12 @@ def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s)
         (tmp_path / "clouds" / f"{name}.ply").read_bytes()
     )
     if form == "padded":
-        with pytest.raises(DatasetError, match="fractions of a second of several lengths"):
-            read_log(tmp_path / "clouds", poses=tmp_path / "poses.tum")
+        refuses(
+            "fractions of a second of several lengths",
+            read_log,
+            tmp_path / "clouds",
+            poses=tmp_path / "poses.tum",
+        )
 
 
 @pytest.mark.parametrize("name", ["scan_{n:03d}", "n008-2018__LIDAR_TOP__{us}"])
@@ -492,26 +391,7 @@ def test_clouds_of_other_names_have_poses_in_order_or_by_the_time_within(tmp_pat
     if "us" in name:
         assert read_log(clouds, poses=poses).without_pose == 1
     else:
-        with pytest.raises(DatasetError, match="5 clouds and 4 poses"):
-            read_log(clouds, poses=poses)
-
-
-def test_as_many_poses_as_clouds_of_other_times_are_found_by_time(tmp_path):
-    scans = written(tmp_path / "log")
-    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
-    rows[-1, 0] += 5  # the last scan lies between the last two poses
-    np.savetxt(tmp_path / "poses.tum", rows)
-    log = read_log(tmp_path / "log", poses=tmp_path / "poses.tum")
-    assert log.times_s[-1] == scans[-1].time_s
-    share = 0.5 / 5.5
-    between = (1 - share) * scans[-2].pose.position + share * scans[-1].pose.position
-    assert log.poses[-1].position == pytest.approx(between)
-
-
-def test_a_folder_of_clouds_has_no_topic(tmp_path, capsys):
-    written(tmp_path / "log")
-    asked = f"ingest {tmp_path}/log --topic /points -o {tmp_path}/out"
-    assert "leave out --topic" in refused(capsys, asked)
+        refuses("5 clouds and 4 poses", read_log, clouds, poses=poses)
 
 
 def test_a_log_without_a_point_in_reach_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
@@ -575,8 +455,9 @@ def test_livox_s_own_messages_are_read(tmp_path, ros):
     assert close(log, scans)
     assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
     write_livox(tmp_path / "short.mcap", scans, missing=1)
-    with pytest.raises(DatasetError, match="promises 41 points and holds 40"):
-        list(read_log(tmp_path / "short.mcap").scans())
+    refuses(
+        "promises 41 points and holds 40", lambda: list(read_log(tmp_path / "short.mcap").scans())
+    )
 
 
 @pytest.mark.parametrize("cut", [0, 20, 1000, -1])
@@ -589,15 +470,6 @@ def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut, ros):
     assert not out.exists()
 
 
-BAD_USE = """
-scan pillar --flight --moving             → go with --sequence
-scan pillar --flight --sequence --frame world → without --frame
-scan pillar --flight --sequence --length 3 --moving --noise motion:3 -o x --quiet → leave it out
-ingest log --voxel 0.01                   → voxels
-ingest gone.mcap                          → gone.mcap: no such recording
-"""
-
-
-@pytest.mark.parametrize(("words", "expected"), rows(BAD_USE))
+@pytest.mark.parametrize(("words", "expected"), cases("logs/logs_bad_use"))
 def test_bad_use_is_told(capsys, words, expected):
     assert expected in refused(capsys, words)

@@ -3,44 +3,68 @@
 import numpy as np
 import pytest
 
-from scenegen.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.fuse import ingest
+from scenegen.logs.log import RawTimes, find_clock
 from scenegen.logs.read import read_log
-from scenegen.logs.times import RawTimes, find_clock
-from tests.command_line import refused, run
-from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, drive, moving
+from tests.command_line import refused, rows, run
+from tests.scenegen import refuses
+from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, SPEED_MPS, drive, moving, sweeps
 
 NEAR = Fusing(every=1, reach_m=15, rise_m=12, deskew=True)
 
-READ = {
-    "t, u4, ns": ("t", lambda u, stamp: (u * 1e9).astype("u4")),
-    "t, u4, µs": ("t", lambda u, stamp: (u * 1e6).astype("u4")),
-    "time, f4, s": ("time", lambda u, stamp: u.astype("f4")),
-    "time, f4, ms": ("time", lambda u, stamp: (u * 1e3).astype("f4")),
-    "timestamp, f8, s": ("timestamp", lambda u, stamp: stamp + u),
-    "timestamp, f8, ms": ("timestamp", lambda u, stamp: (stamp + u) * 1e3),
-    "timestamp, f8, µs": ("timestamp", lambda u, stamp: (stamp + u) * 1e6),
-    "timestamp, f8, ns": ("timestamp", lambda u, stamp: (stamp + u) * 1e9),
-    "time_stamp, f8, µs": ("time_stamp", lambda u, stamp: (stamp - 1.6e9 + u) * 1e6),
-    "stamps, f4, shares of a scan": ("stamps", lambda u, stamp: (u / PERIOD_S).astype("f4")),
-    "time_offset, i4, ns": ("time_offset", lambda u, stamp: (u * 1e9).astype("i4")),
-    "point_time_offset, u4, µs": ("point_time_offset", lambda u, stamp: (u * 1e6).astype("u4")),
-}
-"""Field, type and unit, and the field with what makes it of seconds after the stamp."""
+READ = """
+t                 → u4 → 1e9 → stamp → ns
+t                 → u4 → 1e6 → stamp → µs
+time              → f4 → 1   → stamp → s
+time              → f4 → 1e3 → stamp → ms
+timestamp         → f8 → 1   → 0     → s
+timestamp         → f8 → 1e3 → 0     → ms
+timestamp         → f8 → 1e6 → 0     → µs
+timestamp         → f8 → 1e9 → 0     → ns
+time_stamp        → f8 → 1e6 → 1.6e9 → µs
+stamps            → f4 → 10  → stamp → shares of a scan
+time_offset       → i4 → 1e9 → stamp → ns
+point_time_offset → u4 → 1e6 → stamp → µs
+"""
+"""Field, type, numbers to a second, when they begin, and the unit that is told."""
 
 
-@pytest.mark.parametrize("case", READ)
-def test_points_are_deskewed_by_any_field(tmp_path, case):
-    name, encode = READ[case]
-    bag, truth = drive(lambda u, stamp: {name: encode(u, stamp)})
-    log = read_log(moving(bag).write(tmp_path / "bag"))
-    assert log.about["times"] == f"times from field {name} in {case.split(', ')[2]}"
-    ingest(log, tmp_path / "out", NEAR)
+def check_deskewed(log, out, truth, within_m=0.006):
+    """The way of 1 m is cut in slices of 1 cm."""
+    ingest(log, out, NEAR)
     for n, points in enumerate(truth):
-        seen = np.load(tmp_path / "out" / "observations" / f"{n:06d}.npz")["points"]
-        # the way of 1 m is cut in slices of 1 cm
-        assert abs(seen - points).max() < 0.006, n
+        seen = np.load(out / "observations" / f"{n:06d}.npz")["points"]
+        assert abs(seen - points).max() < within_m, n
+
+
+@pytest.mark.parametrize(("name", "kind", "per_s", "since", "unit"), rows(READ))
+def test_points_are_deskewed_by_any_field(tmp_path, name, kind, per_s, since, unit):
+    def encode(u, stamp):
+        after = u if since == "stamp" else stamp - float(since) + u
+        return {name: (after * float(per_s)).astype(kind)}
+
+    bag, truth = drive(encode)
+    log = read_log(moving(bag).write(tmp_path / "bag"))
+    assert log.about["times"] == f"times from field {name} in {unit}"
+    check_deskewed(log, tmp_path / "out", truth)
+
+
+STAMPED = """
+-0.1 7 -0.05     → -0.1 0 -0.05
+0.03 0 0.1       → 0.03 0 0.1
+2000.9 0 2001    → -0.1 0 0
+2e15 0 2.0000001e15 → 0 0 0.1
+"""
+"""Of three points, of which the second did not return: before the stamp, as Velodyne's; late; by
+the clock; and in nanoseconds of another clock, as Livox's."""
+
+
+@pytest.mark.parametrize(("told", "expected"), rows(STAMPED))
+def test_times_of_points_are_seconds_after_the_stamp(told, expected):
+    told, expected = (np.array(text.split(), float) for text in (told, expected))
+    raw = RawTimes({"time": told}, np.array([True, False, True]), 2001.0)
+    assert find_clock([raw], 0.1).seconds(raw) == pytest.approx(expected, abs=1e-6)
 
 
 REFUSED = {
@@ -88,8 +112,7 @@ def test_from_0_to_1_within_two_seconds_cannot_be_told():
 def test_one_scan_of_impossible_times_stops_the_run(tmp_path):
     bag, _ = drive(lambda u, stamp: {"t": u * (30 if stamp % 1 > 0.25 and stamp % 1 < 0.35 else 1)})
     log = read_log(moving(bag).write(tmp_path / "bag"))
-    with pytest.raises(DatasetError, match=r"scan 3, at .* has no times .* from scan 3 of 6"):
-        ingest(log, tmp_path / "out", NEAR)
+    refuses(r"scan 3, at .* has no times .* from scan 3 of 6", ingest, log, tmp_path / "out", NEAR)
 
 
 def test_messages_that_come_twice_or_late_are_deskewed(tmp_path):
@@ -98,15 +121,39 @@ def test_messages_that_come_twice_or_late_are_deskewed(tmp_path):
     for place, n in enumerate(order):  # the bag's own times, not those in the messages
         bag.messages.append(("/points", BEGIN_S + 9 + place, bag.messages[n][2]))
     del bag.messages[:6]
-    ingest(read_log(moving(bag).write(tmp_path / "bag")), tmp_path / "out", NEAR)
-    for place, n in enumerate(order):
-        seen = np.load(tmp_path / "out" / "observations" / f"{place:06d}.npz")["points"]
-        assert abs(seen - truth[n]).max() < 0.011, n  # to scan 3 it is 2 m, in slices of 2 cm
+    log = read_log(moving(bag).write(tmp_path / "bag"))
+    # to scan 3 it is 2 m, in slices of 2 cm
+    check_deskewed(log, tmp_path / "out", [truth[n] for n in order], within_m=0.011)
 
 
-def test_clouds_of_a_folder_have_no_times(tmp_path, capsys):
+PLY = "ply\nformat binary_little_endian 1.0\nelement vertex 200\n"
+PLY += "".join(f"property float {name}\n" for name in ("x", "y", "z", "time")) + "end_header\n"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npy"])
+def test_clouds_of_a_folder_are_deskewed_by_their_fields(tmp_path, suffix):
+    clouds, poses, truth = tmp_path / "clouds", [], []
+    clouds.mkdir()
+    for n, (stamp, after, seen, from_start) in enumerate(sweeps()):
+        rows = np.column_stack([seen, 1e6 * after]).astype("<f4")
+        if suffix == ".npy":
+            np.save(clouds / f"{n}.npy", np.rec.fromarrays(rows.T, names="x,y,z,time"))
+        else:
+            (clouds / f"{n}.ply").write_bytes(PLY.encode() + rows.tobytes())
+        poses.append([stamp, n * PERIOD_S * SPEED_MPS, 0, 0, 0, 0, 0, 1])
+        truth.append(from_start)
+    np.savetxt(tmp_path / "poses.tum", poses, "%.12g")
+    log = read_log(clouds, poses=tmp_path / "poses.tum")
+    assert log.about["times"] == "times from field time in µs"
+    check_deskewed(log, tmp_path / "out", truth)
+    # matrices without times: nothing says how far apart scans are, and so in which unit times are
+    np.savetxt(tmp_path / "poses.txt", [[1, 0, 0, row[1], 0, 1, 0, 0, 0, 0, 1, 0] for row in poses])
+    assert read_log(clouds, poses=tmp_path / "poses.txt").about["times"] == "no times of points"
+
+
+def test_clouds_without_fields_of_times_are_not_deskewed(tmp_path, capsys):
     from tests.scenegen.logs.test_logs import written
 
     written(tmp_path / "log")
     line = refused(capsys, f"ingest {tmp_path}/log --deskew -o {tmp_path}/out --quiet")
-    assert "read without times of points; leave out --deskew" in line
+    assert "its points have no field of times" in line

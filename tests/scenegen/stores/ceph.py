@@ -16,7 +16,7 @@ import time
 import uuid
 from contextlib import suppress
 
-from tests.scenegen.run.slurm_here import free_port
+from tests.scenegen.base.slurm_here import free_port
 
 NEEDED = ("ceph", "ceph-mon", "ceph-osd", "radosgw", "radosgw-admin", "monmaptool", "ceph-authtool")
 GET = "apt-get install --no-install-recommends ceph-mon ceph-osd radosgw"

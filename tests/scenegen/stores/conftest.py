@@ -1,26 +1,32 @@
-"""A bucket that is none, for this process and those that it forks."""
+"""A bucket of a small server in this process, for it and the processes that it forks."""
 
 import pytest
 
-from scenegen import stores
-from scenegen.stores import cache
-from tests.scenegen.stores.kept import HOME
+from benchmarks.served import Served
+from scenegen.base import mirrors, stores
 
 
 @pytest.fixture
-def store(tmp_path, monkeypatch):
-    """The folder where the objects of s3:// are kept."""
-    home = tmp_path / "store"
-    home.mkdir()
-    monkeypatch.setenv(HOME, str(home))
+def server(tmp_path, monkeypatch):
+    """The server of s3://, which begins empty."""
+    pytest.importorskip("s3fs")
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
-    monkeypatch.setitem(stores.STORES.builtin, "s3", "tests.scenegen.stores.kept:Kept")
+    with Served(tmp_path / "store") as found:
+        for name, value in found.environment.items():
+            monkeypatch.setenv(name, value)
+        forget()
+        yield found
     forget()
-    return home
+
+
+@pytest.fixture
+def store(server):
+    """The folder where the objects of s3:// are kept."""
+    server.home.mkdir()
+    return server.home
 
 
 def forget():
-    """Have this process be as a new one: nothing is opened or seen."""
-    stores._opened.cache_clear()
-    stores._seen.clear()
-    cache._noted.cache_clear()
+    """Have this process be as a new one: nothing is opened."""
+    stores._connect.cache_clear()
+    mirrors._read_note.cache_clear()

@@ -5,14 +5,14 @@ import shutil
 
 import pytest
 
+from scenegen.base.errors import StoreError
+from scenegen.base.executors import EXECUTORS
+from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
-from scenegen.errors import StoreError
-from scenegen.run import EXECUTORS
 from tests.command_line import refused
-from tests.scenegen.run import everywhere
-from tests.scenegen.run.backwards import Bare
-from tests.scenegen.stores.conftest import forget
-from tests.scenegen.stores.kept import Kept
+from tests.scenegen import refuses
+from tests.scenegen.base import everywhere
+from tests.scenegen.base.backwards import Bare
 
 NAME = "s3://lab/d"
 BARE = ("--on", "bare")
@@ -31,8 +31,7 @@ def here(everything, store, tmp_path, monkeypatch):
         (tmp_path / name).symlink_to(everything / name)
     shutil.copytree(everything / "d", store / "lab" / "d")
     everywhere.stand(tmp_path, monkeypatch)
-    monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.run.backwards:Bare")
-    forget()
+    monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.base.backwards:Bare")
     return tmp_path
 
 
@@ -50,15 +49,15 @@ def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, word
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     here, capsys, monkeypatch
 ):
-    read, asked = Kept.read, []
+    fetch, asked = Store.fetch, []
 
-    def fail(self, name, *more):
+    def fail(self, name, path):
         asked.append(name)
-        if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
-            raise StoreError(f"{self.name}/{name}: the store does not answer")
-        return read(self, name, *more)
+        if name == "val-00000.h5":
+            raise StoreError(f"{self}/{name}: the store does not answer")
+        fetch(self, name, path)
 
-    monkeypatch.setattr(Kept, "read", fail)
+    monkeypatch.setattr(Store, "fetch", fail)
     assert "val-00000.h5: the store does not answer (on " in refused(
         capsys, "verify", NAME, "--quick", "--json", *BARE
     )
@@ -68,7 +67,7 @@ def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(here, stor
     folder = locate(NAME)
     manifest = store / "lab" / "d" / "dataset.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise
-    with pytest.raises(
-        StoreError, match=rf"{NAME}: has changed since the command was given.* \(on "
-    ):
-        list(Bare("", 1)(str, [folder], lambda: None))
+    refuses(
+        rf"{NAME}: has changed since the command was given.* \(on ",
+        lambda: list(Bare("", 1)(str, [folder], lambda: None)),
+    )

@@ -9,13 +9,14 @@ import pytest
 from torch.utils.data import DataLoader
 
 import scenegen
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.sample import FIELDS, GROUPS
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.sample import FIELDS, GROUPS
+from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
 from scenegen.worlds.labels import labels_by
 from tests.conftest import hall_in, scene_recipe, small_recipe
+from tests.scenegen.worlds.test_place import hall
 
 COUNTS = {"train": 6, "val": 0, "test": 0}
 SEVERAL = {"scans": 3, "tilt_mps": 3.0, "map_ahead_m": (1.5, 0.2, -0.3), "fusion": "log-odds"}
@@ -26,13 +27,7 @@ def drawn(recipe):
 
 
 def of_a_map(folder):
-    """A hall with columns, of whose one corner nothing is known."""
-    states, rng = np.full((90, 90, 30), FREE, np.uint8), np.random.default_rng(0)
-    for x, y in rng.integers(4, 84, (40, 2)):
-        states[x : x + 3, y : y + 3] = OCCUPIED
-    states[:, :, 0] = states[0] = states[-1] = states[:, 0] = states[:, -1] = OCCUPIED
-    states[60:89, 60:89, 1:] = UNKNOWN
-    source = read_scenes(hall_in(folder, states), COUNTS, seed=0)
+    source = read_scenes(hall_in(folder, hall()), COUNTS, seed=0)
     return source.suited(scene_recipe()), source
 
 
@@ -41,16 +36,16 @@ EXAMPLES = {
     "earlier": lambda folder: drawn(small_recipe("geometric", mapping=SEVERAL)),
     "labels": lambda folder: drawn(
         dataclasses.replace(
-            small_recipe("warehouse", mapping={"scans": 2}), labels=labels_by("class", ())
+            small_recipe("warehouse", mapping={"scans": 2}),
+            parts={"labels": labels_by("class", ())},
         )
+    ),
+    "normals": lambda folder: drawn(
+        dataclasses.replace(small_recipe(), parts={"normals": Normals()})
     ),
     "known": of_a_map,
 }
 """What makes samples that have the fields of a group: a recipe, and where its worlds come from."""
-
-
-def never(component, unit):
-    raise AssertionError("drawn")
 
 
 @pytest.mark.parametrize("group", GROUPS)

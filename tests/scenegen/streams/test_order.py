@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import scenegen
-from scenegen.errors import DatasetError
-from scenegen.source import DrawnWorlds
+from scenegen.draw.source import DrawnWorlds
 from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
-from tests.command_line import rows
 from tests.conftest import small_recipe
+from tests.scenegen import cases, refuses
 from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
@@ -116,20 +115,9 @@ def test_batches_go_on_where_a_state_says_with_any_ranks():
     assert list(resumed) == everything  # a pass that ended begins anew
     assert next(half) == everything[7][1::2]
     for other in (batches(8), batches(loaders=1), batches(of=mixed({3: 1, 6: 1}))):
-        with pytest.raises(DatasetError, match="it is of another one"):
-            other.load_state_dict(json.loads(state))
+        refuses("it is of another one", other.load_state_dict, json.loads(state))
 
 
-BAD = """
-{"size": 0}                          → size = 0: expected a whole number from 1
-{"size": 4, "rank": 2, "ranks": 2}   → rank = 2: expected a whole number from 0 to 1
-{"size": 4, "ranks": 3}              → does not divide among 3 ranks
-{"size": 4, "loaders": 0}            → loaders = 0
-{"size": 100}                        → fewer than one round of 300
-"""
-
-
-@pytest.mark.parametrize(("options", "said"), rows(BAD))
+@pytest.mark.parametrize(("options", "said"), cases("streams/order"))
 def test_batches_that_cannot_be_end_in_a_line(options, said):
-    with pytest.raises(DatasetError, match=said):
-        mixed({3: 1}, samples=50).batches(**json.loads(options))
+    refuses(said, lambda: mixed({3: 1}, samples=50).batches(**json.loads(options)))

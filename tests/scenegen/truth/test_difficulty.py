@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import shortest_path
 
-from lidarsim import GridSpec
-from scenegen.truth import distance_field
 from scenegen.truth.difficulty import difficulty, way_difficulty
 
 VOXEL = 0.2
@@ -94,17 +92,6 @@ def test_a_blocked_middle_has_no_figures():
     clearance, *others = measured(occupancy)
     assert clearance == 0.0
     assert all(map(math.isnan, others))
-
-
-def test_a_way_that_begins_in_the_middle_sees_what_the_map_tells_of_it():
-    """Of two voxels, the first is looked from."""
-    occupancy = empty()
-    occupancy[8, :, :] = True
-    occupancy[8, 6, 6] = occupancy[2, 2, 2] = False
-    tudf = distance_field(occupancy, GridSpec(shape=(13, 13, 13)))
-    whole, way = difficulty(occupancy, tudf, VOXEL), np.array([(6, 6, 6), (7, 6, 6)])
-    found = way_difficulty(way, whole.tortuosity, occupancy, tudf, VOXEL)
-    assert found == whole
 
 
 def test_a_way_is_looked_at_along_its_length():

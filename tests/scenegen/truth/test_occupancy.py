@@ -2,7 +2,6 @@
 ``reference``."""
 
 import dataclasses
-import itertools
 import math
 
 import mujoco
@@ -12,10 +11,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from scenegen.truth import rasterize
-from scenegen.truth.occupancy import _fill_surface, inside_columns
-from scenegen.truth.triangles import triangle_touches
 from tests.command_line import rows
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
@@ -207,78 +204,6 @@ def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
 # ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_right_angled_attitudes_on_and_off_the_lattice(kind, rng):
-    """All 24 of them, touching voxel faces, edges and corners exactly, and a little off."""
-    cases = []
-    for quat in Rotation.create_group("O").as_quat(scalar_first=True):
-        for shift in (0.0, 1e-6, 0.5, rng.uniform(0, 1)):
-            voxel = float(rng.choice([0.2, 0.25]))
-            size = tuple(float(v) for v in rng.integers(1, 4, 3) * voxel / rng.choice([1, 2]))
-            pos = np.full(3, (5 + shift) * voxel)
-            cases.append((Shape(kind, size, pos, quat), voxel))
-    for shape, voxel, solids in compiled(cases):
-        check(shape, solids, (10, 10, 10), voxel, np.zeros(3))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@quarter(8)
-def test_a_hair_off_upright_is_not_upright(kind, count):
-    """Tilts of 0, and from 1e-9 to 1e-2 rad, of solids up to 50 m long, whose far end is then
-    micrometres to metres off.
-
-    The map lies at the far end, where an error of attitude shows most: the solid's rim or face 4
-    micrometres within a layer of voxels there, or 4 or 12 away from it. With other seeds, the
-    reference leaves some voxels undecided.
-    """
-    rng = np.random.default_rng(18)
-    decided = 0
-    for tilt in (0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
-        for _ in range(count):
-            about, yaw = rng.uniform(0, 2 * math.pi, 2)
-            axis_of_lean = np.array([math.cos(about), math.sin(about), 0])
-            lean = Rotation.from_rotvec(tilt * axis_of_lean)
-            turn = lean * Rotation.from_rotvec([0, 0, yaw])
-            size = tuple(rng.uniform(5, 25, 3).tolist())
-            shape = Shape(kind, size, quat=turn.as_quat(scalar_first=True))
-            solids = solids_of(reference.world_of(shape))
-            for axis, sign, gap in itertools.product(range(3), (-1, 1), (-4e-6, 4e-6, 1.2e-5)):
-                outward = np.zeros(3)
-                outward[axis] = sign
-                if kind == "plane":
-                    reach = shape.rot @ (20 * axis_of_lean)
-                else:
-                    reach = reference.support_point(shape, outward)
-                voxel = 0.2
-                # A lattice plane lies the gap beyond the solid's farthest point along this axis.
-                origin = reach - rng.uniform(0.3, 0.7, 3) - voxel * np.array([2, 2, 2])
-                origin[axis] = reach[axis] + sign * gap - 3 * voxel
-                truth = check(shape, solids, (6, 6, 6), voxel, origin)
-                decided += int(truth.boundary.sum())
-    assert decided > 2500 * count
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@quarter(120)
-def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind, count):
-    """Maps that a solid swallows, clips, or misses altogether, of unequal sides and far from the
-    origin."""
-    rng = np.random.default_rng(20)
-    shares = []
-    for k in range(count):
-        grid_shape = tuple(rng.integers(1, 12, 3).tolist())
-        voxel = float(rng.choice(VOXELS))
-        origin = rng.uniform(-200, 200, 3)
-        extent = np.array(grid_shape) * voxel
-        size = tuple(rng.uniform(0.5, 6, 3).tolist())
-        away = rng.uniform(0.2, 12) * unit(rng) if k % 3 else rng.uniform(-0.05, 0.05, 3)
-        shape = Shape(kind, size, origin + extent / 2 + away, rng.normal(size=4))
-        truth = check(shape, solids_of(reference.world_of(shape)), grid_shape, voxel, origin)
-        shares.append((truth.verdict == OCCUPIED).mean())
-    full, empty = shares.count(1.0), shares.count(0.0)
-    assert min(full, empty, count - full - empty) >= count / 24
-
-
 # ------------------------------------------------------------------------------------------
 # Meshes
 # ------------------------------------------------------------------------------------------
@@ -403,55 +328,6 @@ def test_a_watertight_mesh_is_filled_however_it_is_scaled_mirrored_and_listed(sc
         "mixed": listed(points, np.where(some, faces[:, ::-1], faces)),
     }[order]
     agreed(mesh_solids(given, *at, scale=scale), truth, 0.2, np.zeros(3))
-
-
-@quarter(100)
-def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count, rng):
-    """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a
-    normal n there.
-
-    MuJoCo keeps mesh vertices as float32 numbers relative to the mesh's own centre, which moves
-    them by up to 2e-7 m here; the gaps leave room for that.
-    """
-    grid_shape = (3, 2, 4)
-    cubes = 0
-    for k in range(count):
-        name = (*MESHES, "hfield")[k % 7]
-        quat = rng.normal(size=4)
-        if name == "hfield":
-            solids, points = hfield(rng, (4, 5), (0.8, 0.6, 0.7, 0.2), np.zeros(3), quat)
-        else:
-            mesh = MESHES[name](), np.zeros(3), quat
-            solids, points = mesh_solids(*mesh), mesh_triangles(*mesh)
-        points = points.reshape(-1, 3)
-        voxel = float(rng.choice(VOXELS))
-        index = rng.integers(0, grid_shape)
-        touch, normal = cube_feature(index, voxel, np.zeros(3), rng)
-        lowest = points[np.argmin(points @ normal)]
-        for gap in (-1e-4, -2e-6, 0.0, 4e-7, 4e-6, 1e-5, 1e-3):
-            origin = lowest - touch - gap * normal
-            grid = GridSpec(shape=grid_shape, voxel_m=voxel)
-            answer = rasterize(solids, grid, origin)
-            assert answer[tuple(index)] == (gap < 1e-6), (name, quat, voxel, origin, index, gap)
-            cubes += 1
-    assert cubes == 7 * count
-
-
-@quarter(200)
-def test_a_triangle_on_the_voxels_own_lattice_touches_what_the_test_of_each_cube_says(count):
-    """Corners at voxels' corners and centres, or a slack off them; some are one point."""
-    rng, slack = np.random.default_rng(29), 1e-6
-    for _ in range(count):
-        triangle = rng.integers(-2, 14, (3, 3)) / 2 + rng.choice([0, 0, -1, 1.05], 3) * slack
-        triangle[2] = triangle[2 - rng.integers(3)]
-        found, expected = np.zeros((2, 6, 6, 6), bool)
-        _fill_surface(triangle[None], np.zeros(3), 1.0, found)
-        for i in np.ndindex(found.shape):
-            expected[i] = triangle_touches(*triangle, *np.add(i, 0.5), 0.5, slack)
-        assert np.array_equal(found, expected)
-        triangle[:, :2] = triangle[0, :2]
-        inside_columns(triangle[None], np.zeros(3), 1.0, found)
-        assert np.array_equal(found, expected)  # what is upright has no inside
 
 
 # ------------------------------------------------------------------------------------------

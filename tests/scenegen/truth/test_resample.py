@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from lidarsim import GridSpec, Pose, cast
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
-from scenegen.recipe import preset
+from lidarsim import GridSpec
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from scenegen.truth.voxels import resample
 
 
@@ -31,19 +30,3 @@ def test_occupied_and_known_voxels_are_those_that_overlap(edge_m, rng):
         assert (known == ((count > 0) | (free >= 0.5)))[sure].all()
         assert known.any()
         assert not known.all()
-
-
-def test_returns_lie_in_occupied_voxels():
-    rng, recipe = np.random.default_rng(2), preset("pillar")
-    for edge_m in (0.08, 0.2, 0.33):
-        shape = tuple((np.array([14.0, 14.0, 7.0]) / edge_m).astype(int))
-        states = np.where(rng.random(shape) < 0.003, OCCUPIED, FREE).astype(np.uint8)
-        voxels = VoxelMap(states, edge_m, np.array([-7.0, -7.0, -3.5]))
-        position = rng.uniform(-0.2, 0.2, 3)
-        scan = cast(VoxelEngine(voxels), recipe.lidar, Pose.level(position, 0.4))
-        origin = recipe.grid.origin_at(position)
-        occupancy, _ = resample(voxels, recipe.grid, origin)
-        index = recipe.grid.index(scan.points(), origin)
-        inside = ((index >= 0) & (index < recipe.grid.shape)).all(axis=1)
-        assert inside.sum() > 100
-        assert occupancy[tuple(index[inside].T)].all()

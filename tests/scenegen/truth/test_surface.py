@@ -9,21 +9,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
-from lidarsim.noise.chain import Noise
-from lidarsim.solids.model import solids_of
-from scenegen.dataset.build import build
-from scenegen.dataset.rescan import plan_rescan
-from scenegen.errors import DatasetError
-from scenegen.recipe import preset
-from scenegen.share.regenerate import recipe_text
 from scenegen.truth import distance_field, rasterize
-from scenegen.verification import verify
-from tests.conftest import plan_of, small_recipe
-from tests.scenegen.conftest import built, drawn_unit
+from scenegen.worlds.recipe import preset
+from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.truth import reference
-from tests.scenegen.truth.reference import Shape
 from tests.scenegen.truth.test_occupancy import compiled, placed
-from tests.scenegen.verification.forge import edit_at
 
 EDGE = 24
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -73,13 +63,6 @@ def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kin
     assert inner > 500
 
 
-@pytest.mark.parametrize(("proud_m", "inner"), [(0.0, 3), (5e-7, 3), (3e-6, 5)])
-def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m, inner):
-    shape = Shape("box", (0.625 + proud_m,) * 3, pos=np.full(3, 1.375))
-    solid, surface = both(solids_of(reference.world_of(shape)), (12, 12, 12), 0.25, np.zeros(3))
-    assert (solid.sum(), (solid & ~surface).sum()) == (7**3, inner**3)
-
-
 def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth():
     plain = preset("geometric")
     grid = dataclasses.replace(plain.grid, hollow=True)
@@ -92,23 +75,3 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth()
         assert not (other.occupancy & ~one.occupancy).any()
         assert_array_equal(other.tudf, distance_field(other.occupancy, grid))
         assert 0.3 < other.occupancy.sum() / one.occupancy.sum() < 1
-
-
-def plan(folder, *, hollow=True):
-    return plan_of(folder, small_recipe(grid={"hollow": hollow}), seed=3, shard_samples=2)
-
-
-def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path):
-    one, two = plan(tmp_path / "one"), plan(tmp_path / "two")
-    dataset = built(one, workers=1)
-    assert dataset.manifest.digest == built(two, workers=2).manifest.digest
-    assert verify(one.folder).ok
-    assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
-    again = built(plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02")))
-    for before, after in zip(dataset.split("train"), again.split("train"), strict=True):
-        assert_array_equal(before.occupancy, after.occupancy)
-    assert "hollow = true" in recipe_text(one.parameters, "again")
-    with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
-        build(plan(one.folder, hollow=False), workers=1)
-    edit_at(one.folder, "grid.hollow", "")
-    assert not verify(one.folder).ok  # solids are another truth

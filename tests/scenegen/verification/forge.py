@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from scenegen.dataset import manifest
+from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import zip_reproducibly
 from tests.conftest import dataset_in, small_recipe
 
@@ -64,13 +65,18 @@ def edit(folder, file, change):
     store(folder, file, arrays, attributes)
 
 
+def read(folder):
+    """What stands in the manifest, as JSON values."""
+    return json.loads((folder / NAME).read_text())
+
+
 def sign(folder, **changes):
     """Make the manifest's checksums and digest, and what shards say of themselves, those of the
     files."""
-    given = {**manifest.read(folder), **changes}
+    document = read(folder) | changes
     total = hashlib.sha256()
-    fingerprint = manifest.fingerprint(manifest.parameters_of(given))
-    for entry in given["shards"]:
+    fingerprint = manifest.parse(json.dumps(document).encode(), folder).fingerprint
+    for entry in document["shards"]:
         entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
         with h5py.File(folder / entry["file"], "r+") as shard:
             said = {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint}
@@ -78,28 +84,26 @@ def sign(folder, **changes):
                 shard.attrs.update(said)
             total.update(shard["sha256"][()].tobytes())
         entry["sha256"] = hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest()
-    given["digest"] = total.hexdigest()
-    manifest.write(folder, given)
+    edit_manifest(folder, **document | {"digest": total.hexdigest()})
 
 
 def edit_manifest(folder, **changes):
     """Change the manifest alone; the folder."""
-    path = folder / manifest.NAME
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    (folder / NAME).write_text(json.dumps(read(folder) | changes))
     return folder
 
 
 def edit_at(folder, path, value):
     """Put what the JSON `value` says at a dotted path of the manifest, or, if it says nothing,
     delete what is there; the folder."""
-    found = manifest.read(folder)
+    found = read(folder)
     *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
     place = functools.reduce(operator.getitem, above, found)
     if value:
         place[last] = json.loads(value)
     else:
         del place[last]
-    (folder / manifest.NAME).write_text(json.dumps(found))
+    (folder / NAME).write_text(json.dumps(found))
     return folder
 
 

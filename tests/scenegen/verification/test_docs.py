@@ -1,17 +1,15 @@
-"""docs/checks.md lists every check, docs/verify.md says how to write one's own."""
+"""docs/verify.md lists every check, and says how to write one's own."""
 
 import re
 
-import pytest
-
-from scenegen.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import page, run
+from tests.command_line import example, page, run
+from tests.scenegen import refuses
 
 
 def test_the_table_has_the_checks_in_order():
-    rows = re.findall(r"^\| `([a-z-]+)` \| (yes)? *\| ", page("checks.md"), re.MULTILINE)
+    rows = re.findall(r"^\| `([a-z -]+)` \| (yes)? *\| ", page("verify.md"), re.MULTILINE)
     assert rows == [(check.name, "yes" if check.quick else "") for check in CHECKS]
 
 
@@ -22,7 +20,7 @@ bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
 
 
 def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
-    code = page("verify.md").split("```python\n")[-1].split("```")[0]
+    code = example("verify.md", "high = Check")
     (tmp_path / "my_checks.py").write_text(code + OWN)
     monkeypatch.chdir(tmp_path)
     own = [f"my_checks:{name}" for name in ("high", "low", "bad")]
@@ -31,5 +29,4 @@ def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
     assert (low.ok, low.faults, bad.ok, bad.faults) == (False, 12, False, 12)
     assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail
     assert run(capsys, f"verify {folder} --quick --check my_checks:high")[0] == 0
-    with pytest.raises(DatasetError, match=r"--check: .*none"):
-        verify(folder, own=["my_checks:none"])
+    refuses(r"--check: .*none", verify, folder, own=["my_checks:none"])

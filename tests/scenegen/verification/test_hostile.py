@@ -7,11 +7,9 @@ import time
 
 import pytest
 
-from scenegen.dataset import manifest
-from scenegen.errors import BrokenError
-from scenegen.limits import MOST_DOCUMENT_BYTES
+from scenegen.base.limits import MOST_DOCUMENT_BYTES
 from scenegen.worlds.screen import screen
-from tests.command_line import rows
+from tests.scenegen import cases, refuses
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -41,28 +39,6 @@ def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder):
     assert "belong to no sample" in failed(folder, quick=True)["layout"]
 
 
-def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
-    given = manifest.read(folder)
-    entries = given["shards"]
-    forge.edit_manifest(
-        folder,
-        shards=[entries[0] | {"samples": 10**5}, *entries[1:]],
-        counts=given["counts"] | {"train": 10**5},
-    )
-    found = failed(folder, quick=True)
-    assert "expected bool (100000, 24, 24, 16)" in found["layout"]
-
-
-@pytest.mark.parametrize("name", ["../train-00000.h5", "val-00000.h5"])
-def test_files_outside_the_folder_are_not_opened(folder, name):
-    entries = manifest.read(folder)["shards"]
-    forge.edit_manifest(folder, shards=[entries[0] | {"file": name}, *entries[1:]])
-    (folder.parent / SHARD).write_bytes((folder / SHARD).read_bytes())
-    found = failed(folder)
-    assert list(found) == ["manifest"]
-    assert f"'{name}'" in found["manifest"]
-
-
 def test_a_pipe_is_not_waited_for(folder):
     (folder / SHARD).unlink()
     os.mkfifo(folder / SHARD)
@@ -81,15 +57,6 @@ def geoms(count, more=""):
 
 
 MANY = " ".join(f"a{n}='1'" for n in range(101))
-HARM = """
-<include file="/etc/passwd"/>                          → has <include>
-<asset><mesh file="/etc/passwd"/></asset>              → expected a file of the archive
-<asset><hfield nrow="100000" ncol="100000" size="1 1 1 1"/></asset> → nrow times
-<compiler meshdir="/etc"/>                             → expected files beside the document
-<size memory="100G"/>                                  → expected 1073741824 at most
-<custom><numeric name="a" size="2000000000"/></custom> → expected 100000 at most
-<extension><plugin plugin="x"/></extension>            → has <extension>
-"""
 DEEP = b"<mujoco><worldbody>" + b"<body>" * 300 + b"</body>" * 300 + b"</worldbody></mujoco>"
 IMAGE = b"\x89PNG\r\n\x1a\n" + bytes(8) + struct.pack(">II", 10**5, 10**5)
 LAUGHS = (
@@ -106,7 +73,7 @@ LAUGHS = (
         (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
-        *((world(geoms(1, more)), said) for more, said in rows(HARM)),
+        *((world(geoms(1, more)), said) for more, said in cases("verification/hostile")),
         (world(DEEP), "200 levels"),
         (world(geoms(1_000_000)[:MOST_DOCUMENT_BYTES]), "more than 50000 geoms"),
         (
@@ -138,7 +105,7 @@ def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
 
     monkeypatch.setattr(module, "SECONDS", 1.0)
     monkeypatch.setattr(module, "SECONDS_A_SAMPLE", 0.0)
-    recipe = manifest.read(folder)["recipe"]
+    recipe = forge.read(folder)["recipe"]
     many = recipe["flight"] | {"iterations": 20_000, "flights_per_world": 1000}
     nothing_will_do = recipe["accept"] | {"min_returned_share": 1.0}
     forge.sign(folder, recipe=recipe | {"flight": many, "accept": nothing_will_do})
@@ -153,5 +120,10 @@ def test_screening_takes_plain_worlds_and_knows_them_again():
         return screen(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>".encode(), {}, "w")
 
     assert screened("a1", "b2") == screened("c2", "d1") != screened("a1", "b3")
-    with pytest.raises(BrokenError, match="w: has <replicate>"):
-        screen(b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>", {}, "w")
+    refuses(
+        "w: has <replicate>",
+        screen,
+        b"<mujoco><worldbody><replicate count='9'/></worldbody></mujoco>",
+        {},
+        "w",
+    )

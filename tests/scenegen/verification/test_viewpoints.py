@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from lidarsim import Lidar, MujocoEngine, Pose
-from scenegen.dataset import manifest
-from scenegen.dataset.choose import Choice, Condition
-from scenegen.dataset.gather import plan_merge, plan_take
-from scenegen.dataset.read import Dataset
-from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.draw import UnitKey
-from scenegen.sample import GROUPS
+from scenegen.dataset.like import plan_like, scan_again
+from scenegen.draw.sample import GROUPS
+from scenegen.draw.unit import UnitKey
 from scenegen.worlds.world import compile_world
 from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.conftest import built
@@ -37,14 +33,6 @@ def test_a_viewpoint_under_another_ones_number_is_caught(folder, quick):
     told = f"{SHARD}: sample 5 has the content of {SHARD}: sample 4, expected that of another"
     assert told in found["duplicates"]
     assert "samples 4 and 5 of train are of one flight and 0 m apart" in found["flights"]
-
-
-def test_a_viewpoint_in_two_splits_is_caught(folder):
-    arrays, _ = forge.load(folder, SHARD)
-    forge.edit(folder, "test-00000.h5", lambda theirs: copy_content(theirs, 2, arrays, 1))
-    found = failed(folder, quick=True)
-    told = f"test-00000.h5: sample 2 has the content of {SHARD}: sample 1, expected"
-    assert told in found["duplicates"]
 
 
 def scan_at(folder, position):
@@ -75,22 +63,6 @@ def test_viewpoints_nearer_than_promised_are_caught(folder, apart_m):
         f"{SHARD}: samples 0 and 1 of train are of one flight and {apart_m:g} m apart, expected "
         "flight.spacing_m = 1" in found["flights"]
     )
-
-
-def test_a_flight_is_measured_whose_samples_lie_in_two_shards(originals, tmp_path):
-    """They were taken apart, and merged."""
-    whole = Dataset(originals["pillar"])
-    for name, sign in (("a", "<"), ("b", ">=")):
-        choice = Choice(where=(Condition("viewpoint", sign, 1.0),))
-        built(plan_take(whole, tmp_path / name, choice))
-    parts = [Dataset(tmp_path / name) for name in ("a", "b")]
-    folder = built(plan_merge(parts, tmp_path / "m")).folder
-    assert failed(folder) == {}
-    arrays, _ = forge.load(folder, SHARD)
-    forge.edit(folder, "train-00001.h5", lambda theirs: copy_content(theirs, 0, arrays, 0))
-    found = failed(folder, quick=True)
-    told = f"{SHARD} and train-00001.h5: samples 0 and 1 of train are of one flight and 0 m apart"
-    assert told in found["flights"]
 
 
 def test_a_viewpoint_beyond_where_flights_keep_is_caught(folder):
@@ -134,7 +106,7 @@ def test_a_viewpoint_that_the_recipe_rejects_is_caught(folder, name):
         "min_occupied_share": arrays["occupancy"].mean(axis=(1, 2, 3)),
         "min_returned_share": np.isfinite(arrays["ranges"]).mean(axis=(1, 2)),
     }[name]
-    recipe = manifest.read(folder)["recipe"]
+    recipe = forge.read(folder)["recipe"]
     least = float(np.unique(shows)[:2].mean())
     forge.sign(folder, recipe=recipe | {"accept": recipe["accept"] | {name: least}})
     found = failed(folder, quick=True)
@@ -151,7 +123,6 @@ def test_what_noise_loses_and_another_sensor_does_not_see_is_no_fault(tmp_path):
     noisy = dataset_in(tmp_path / "d", recipe)
     assert failed(noisy.folder) == {}
     blind = Lidar(rows=2, columns=4, max_range_m=0.21)
-    level = plan_rescan(noisy, tmp_path / "again", lidar=blind, mapping={"tilt_mps": 0.0})
-    again = built(level)
+    again = built(plan_like(noisy.folder, tmp_path / "again", lidar=blind))
     assert not np.isfinite([sample.ranges for sample in again.split("train")]).any()
     assert failed(again.folder) == {}

@@ -2,16 +2,11 @@
 and MuJoCo."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from lidarsim import Pose
 from scenegen.worlds.flight import GRAVITY, Route, acceleration, leaning
-from scenegen.worlds.mapping import Mapper
-from tests.conftest import small_recipe
-from tests.lidarsim.engines.test_laws import from_mujoco
-from tests.scenegen.conftest import drawn_unit
 
 PATH = np.loadtxt(["0 0 2", "3 0 2", "3 0 2", "3 4 3", "1 4 5", "1 4 1.5", "-4 2 2"])
 SPEED, SETTLE = 2.5, 0.7
@@ -64,30 +59,3 @@ def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the
         assert np.degrees(np.arccos(up[2])) <= 30.0 + 1e-6
     forward = leaning(Pose.level((0, 0, 0), 0.0), (3.0, 0.0, 0.0), most_deg=30.0)
     assert turned(forward).apply([1, 0, 0])[2] < 0.0  # to accelerate forward, the nose goes down
-
-
-def test_next_to_no_speed_is_next_to_level():
-    route = Route(PATH)
-    for flown in (0.0, 2.9, 8.0):
-        level, slow = (route.pose(flown, Mapper(tilt_mps=speed)) for speed in (0.0, 1e-9))
-        assert (level.quaternion[1:3] == 0.0).all()
-        assert_allclose(slow.quaternion, level.quaternion, atol=1e-9)
-
-
-def test_a_leaning_sensors_ranges_are_mujocos():
-    """Each ray by `mj_ray`, its direction by scipy from the stored attitude."""
-    recipe = small_recipe(mapping={"tilt_mps": 4.0, "scans": 2})
-    unit = drawn_unit(recipe)
-    world, leans = unit.world, []
-    for sample in unit.samples:
-        for scan in sample.scans(recipe.lidar):
-            attitude = turned(scan.pose)
-            leans.append(np.degrees(np.arccos(attitude.apply([0, 0, 1])[2])))
-            rays = attitude.apply(recipe.lidar.directions_body.reshape(-1, 3).copy())
-            place = scan.pose.position.copy()
-            expected, *_ = from_mujoco(
-                world.model, world.data, place, rays, recipe.lidar.max_range_m
-            )
-            assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
-    assert max(leans) == pytest.approx(30.0, abs=25.0)  # else no body leans
-    assert len(set(np.round(leans, 6))) > 2

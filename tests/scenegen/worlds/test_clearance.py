@@ -12,7 +12,7 @@ import trimesh
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from scenegen.worlds.clearance import CAP_M, Clearance
 from tests.scenegen.truth import reference
 

@@ -1,7 +1,6 @@
 """Point clouds become maps that agree with the place where rays went, and meshes become the
 worlds that they were made of."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +12,15 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.pose import rotate
-from scenegen.dataset.build import build
-from scenegen.dataset.generation import plan_generation
-from scenegen.display.exchange.files import write_points
-from scenegen.display.exchange.glb import encode_world
-from scenegen.errors import DatasetError, SceneError
-from scenegen.source import read_world
+from scenegen.base.errors import DatasetError, SceneError
+from scenegen.draw.source import read_world
+from scenegen.view.glb import encode_world
 from scenegen.worlds.cloud import Survey, map_clouds
+from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.world import World
-from tests.command_line import done, refused, rows, run
-from tests.scenegen.verification.conftest import failed
-from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
+from tests.command_line import refused
+from tests.scenegen import cases, refuses
+from tests.scenegen.worlds.test_place import ORIGIN, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
 VOXELS = Survey(voxel_m=VOXEL_M)
@@ -114,8 +111,7 @@ def test_matrices_of_kitti_s_camera_are_not_taken_for_the_sensor_s(tmp_path, mon
     for tr in ("0 -1 0 0 0 0 -1 0 1 0 0 0", "1 0 0 0 0 1 0 0 0 0 1 0"):
         (tmp_path / "calib.txt").write_text(f"Tr: {tr}\n")
         if tr.startswith("0"):
-            with pytest.raises(SceneError, match="may be those of its camera"):
-                map_clouds([cloud], VOXELS, poses=poses)
+            refuses("may be those of its camera", map_clouds, [cloud], VOXELS, poses=poses)
     monkeypatch.chdir(cloud.parent)
     assert map_clouds([Path("0.xyz")], VOXELS, poses=poses).points == 2
 
@@ -210,18 +206,6 @@ def test_a_registered_cloud_keeps_its_origin(tmp_path):
     assert map_clouds([tmp_path / "a.xyz"], sensor=(0.0, 0.0, 0.05)).points == 1
 
 
-def test_several_clouds_are_read_in_one_line(scans, tmp_path, capsys):
-    for n, (_, points) in enumerate(scans):
-        np.save(tmp_path / f"{n}.npy", points[:500].astype("f4"))
-    np.savetxt(tmp_path / "poses.txt", [sensor for sensor, _ in scans])
-    files = " ".join(f"{tmp_path}/{n}.npy" for n in range(len(scans)))
-    words = f"map {files} --poses {tmp_path}/poses.txt -o {tmp_path}/a.npz"
-    code, _, noted = run(capsys, words)
-    assert (code, noted) == (0, "read: 4 clouds, 2,000 points, x y z (.npy, 3 columns)\n")
-    done(capsys, f"{words} --quiet")
-    assert json.loads(done(capsys, f"{words} --json"))["read"] == noted.strip()
-
-
 def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     np.savetxt(tmp_path / "a.xyz", scans[0][1])
     states = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True)).voxels.states
@@ -231,36 +215,7 @@ def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     assert (states == UNKNOWN).any()
 
 
-def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
-    every, sensors = joined(scanned(12, 10_000))
-    cloud, recipe = write_ply(tmp_path / "a.ply", every, sensors), tmp_path / "recipe.toml"
-    recipe.write_text(RECIPE)
-    given, said = {"scene": cloud, "recipe": recipe, "out": tmp_path / "data"}, []
-    for _ in range(2):  # the second time, nothing is left to do
-        summary = build(plan_generation(None, 4, **given, tell=said.append), workers=1)
-    assert summary.samples_written == 0
-    assert f"{len(every)} points become voxels of 0.2 m" in said[0]
-    assert not failed(tmp_path / "data")
-
-
-NO_MAPS = """
-a.xyz → 1 2 3            →                                 → does not say where its sensor was
-a.xyz → nan 1 2; 1 inf 2 → --sensor nan 1 2                → nan
-a.xyz → nan 1 2; 1 inf 2 → --assume-free                   → no point in it is finite
-a.xyz → 0 0 0; 1e30 0 0  → --assume-free                   → give a larger --voxel
-a.xyz → 1 0 0; 1e300 0 0 → --sensor 0 0 0                  → 1 of 2 points lie up to 1e+300 m
-a.xyz → 1 0 0; 9e4 9e4 9e4 → --sensor 0 0 0                → give a larger --voxel
-a.xyz → 0 0 0            → --assume-free --box 5 5 5 6 6 6 → lies in the box
-a.xyz → 0 0 0            → --poses none.txt                → none.txt
-a.xyz → 0 0 0            → --poses two.txt                 → 2 poses, expected 1
-a.xyz → 0 0 0            → --poses flat.txt                → line 1: expected a rotation
-a.xyz → 0 0 0            → --poses words.txt               → holds no numbers
-a.bt  → words            → --assume-free                   → expected one of .ply
-a.las → LASF             → --assume-free                   → cannot be read as .las
-"""
-
-
-@pytest.mark.parametrize(("name", "lines", "options", "said"), rows(NO_MAPS))
+@pytest.mark.parametrize(("name", "lines", "options", "said"), cases("worlds/cloud_no_maps"))
 def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, said):
     Path("two.txt").write_text("0 0 0\n0 0 1\n")
     Path("flat.txt").write_text("0 " * 12)
@@ -268,21 +223,6 @@ def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, s
     Path(name).write_text(lines.replace("; ", "\n"))
     assert said in refused(capsys, "map", name, *options.split())
     assert not Path("map.npz").exists()
-
-
-def test_the_command_says_what_it_made(scans, tmp_path, capsys):
-    sensor, points = scans[0]
-    write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "sensor_position": sensor})
-    said, found = (
-        json.loads(done(capsys, f"{words} --json"))
-        for words in (
-            f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz",
-            f"inspect {tmp_path}/b.npz",
-        )
-    )
-    assert said["points"] == len(points)
-    for name in ("shape", "free", "voxel_m"):
-        assert said[name] == found[name]
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".stl"])
@@ -306,17 +246,7 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     )
 
 
-NO_MESHES = """
-a.glb →                                              → cannot be read as .glb
-a.stl → solid; solid; solid; solid; solid; solid     → a.stl
-a.obj → v 0 0 0                                      → a.obj
-a.obj → v 0 0 nan; v 1 0 0; v 0 1 0; f 1 2 3         → not finite
-a.obj → v 0 0 0; v 1 0 0; v 0 1 0; f 1 2 9           → a.obj
-a.obj → v 0 0 0; v 1 0 0; v 2 0 0; f 1 2 3           → a.obj
-"""
-
-
-@pytest.mark.parametrize(("name", "content", "said"), rows(NO_MESHES))
+@pytest.mark.parametrize(("name", "content", "said"), cases("worlds/cloud_no_meshes"))
 def test_what_is_no_mesh_ends_in_a_line(tmp_path, name, content, said):
     (tmp_path / name).write_text(content.replace("; ", "\n"))
     with pytest.raises((SceneError, DatasetError), match=said):

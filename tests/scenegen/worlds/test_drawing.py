@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from scenegen.errors import BrokenError
-from scenegen.limits import MOST_OTHERS
-from scenegen.recipe import preset
-from scenegen.recipes import kind_names
-from scenegen.worlds.drawing import MOST_WRITTEN, Drawing
+from scenegen.base.limits import MOST_OTHERS
+from scenegen.worlds.drawing import MAX_WRITTEN, Drawing
+from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.recipe import preset
+from tests.scenegen import refuses
 
 BOUNDS = np.array([[8.0, 8.0, 1.5], [32.0, 32.0, 4.25]])
 SHAPES = [
@@ -65,28 +65,13 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed):
     assert ours == theirs
 
 
-def test_many_solids_at_once_are_as_if_added_one_by_one(rng):
-    shapes = rng.choice([int(shape) for shape in SHAPES], 30)
-    sizes, places, quats = rng.random((30, 3)), rng.random((30, 3)), rng.normal(size=(30, 4))
-    quats /= np.sqrt((quats**2).sum(axis=1, keepdims=True))
-    for own in (True, False):
-        at_once, singly = Drawing(BOUNDS), Drawing(BOUNDS)
-        if not own:
-            assert at_once.geoms == singly.geoms == []  # MuJoCo writes
-        at_once.add_geoms(shapes, sizes, places, quats)
-        for shape, size, place, quat in zip(shapes, sizes, places, quats, strict=True):
-            singly.add_geom(mujoco.mjtGeom(shape), size, place, quat=quat)
-        assert at_once.mjcf() == singly.mjcf()
-        assert singly.mjcf().count(b"<geom ") == 30 + 1  # and the default
-
-
 def test_what_is_not_written_here_is_left_to_mujoco():
     def draw(drawing, **more):
         drawing.add_geom(SHAPES[0], [0.5, 0, 0], [1, 2, 3])
         drawing.add_geom(mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 1], [0, 0, 0], **more)
 
     def draw_many(drawing):
-        for n in range(MOST_WRITTEN + 1):
+        for n in range(MAX_WRITTEN + 1):
             drawing.add_geom(SHAPES[0], [0.1, 0, 0], [n, 0, 0])
 
     for one in (draw, partial(draw, name="floor"), draw_many):
@@ -111,5 +96,4 @@ def test_a_kind_draws_nothing_that_readers_refuse():
     drawing = Drawing(BOUNDS)
     for n in range(MOST_OTHERS + 1):
         drawing.worldbody.add_site(name=str(n))
-    with pytest.raises(BrokenError, match=f"more than {MOST_OTHERS} elements"):
-        drawing.mjcf()
+    refuses(f"more than {MOST_OTHERS} elements", drawing.mjcf)

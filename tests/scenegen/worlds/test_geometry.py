@@ -3,7 +3,7 @@
 import mujoco
 import pytest
 
-from lidarsim.solids.model import solids_of
+from lidarsim.solids import solids_of
 from scenegen.worlds.world import geometry_digest
 from tests.lidarsim.engines.test_laws import SIZES
 

@@ -1,15 +1,13 @@
 """OctoMap's files are read as they were written, and refused in a line where they are damaged."""
 
 import struct
-from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
-from scenegen.errors import SceneError
-from scenegen.worlds.octomap import parse_octomap
-from tests.command_line import rows
+from scenegen.worlds.place import parse_octomap
+from tests.scenegen import cases, refuses
 
 HALF = 1 << 15
 
@@ -60,13 +58,6 @@ def test_a_map_is_read_as_it_was_written(suffix, corner, rng):
 BT, OT = (
     written(np.full((3, 2, 1), OCCUPIED, np.uint8), (0, 0, 0), suffix) for suffix in (".bt", ".ot")
 )
-HEADS = """
-data   → date          → not an OctoMap
-id Oc  → id ColorOc    → ColorOcTree
-0.1    → -1            → a voxel of
-0.1    → nan           → a voxel of
-0.1    →               → a voxel of
-"""
 DEEP = BT[: BT.index(b"\ndata\n") + 6]
 
 
@@ -74,7 +65,10 @@ DEEP = BT[: BT.index(b"\ndata\n") + 6]
     ("content", "said"),
     [
         (b"", "not an OctoMap"),
-        *((BT.replace(old.encode(), new.encode()), said) for old, new, said in rows(HEADS)),
+        *(
+            (BT.replace(old.encode(), new.encode()), said)
+            for old, new, said in cases("worlds/octomap")
+        ),
         (BT[:-1], "ends within its tree"),
         (OT[:-1], "ends within its tree"),
         (BT + b"\0", "goes on behind"),
@@ -86,15 +80,4 @@ DEEP = BT[: BT.index(b"\ndata\n") + 6]
     ],
 )
 def test_a_damaged_map_ends_in_a_line(content, said):
-    with pytest.raises(SceneError, match=said):
-        parse_octomap(content, "map")
-
-
-def test_any_damage_ends_in_a_line_or_in_a_map(rng):
-    for suffix, whole in ((".bt", BT), (".ot", OT)):
-        begin = whole.index(b"\ndata\n") + 6
-        for _ in range(200):
-            damaged = bytearray(whole)
-            damaged[rng.integers(begin, len(whole))] = rng.integers(256)
-            with suppress(SceneError):
-                assert parse_octomap(bytes(damaged), suffix).states.any()
+    refuses(said, parse_octomap, content, "map")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from scenegen.errors import SceneError
-from scenegen.source import read_world
+from scenegen.draw.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
-from tests.command_line import done, rows, run
+from tests.command_line import done, run
+from tests.scenegen import cases, refuses
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
@@ -90,27 +90,10 @@ def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(tmp_path, capsys, monkeyp
         assert "is given alone, with --height" in " ".join(err.split())
 
 
-DAMAGED = """
-resolution: 0.25 →                     → 'resolution'
-0.25             → 0                   → a voxel of 0 m
-0.0]             → 0.1]                → a yaw of 0
-2.0,             → inf,                → finite metres
-2.0,             →                     → expected 3, got 2
-negate: 0        → negate: 7           → '7'
-0.196            → 0.7                 → free_thresh below
-trinary          → scale               → mode 'scale'
-plan.pgm         → other.pgm           → other.pgm
-plan.pgm         → plan.yaml           → expected a grey picture
-plan.pgm         → alpha.png           → expected a grey picture
-plan.pgm         → huge.pgm            → expected a grey picture
-plan.pgm         → cut.pgm             → expected a grey picture
-plan.pgm         → grey.pgm            → nothing in it is known
-plan.pgm         → full.pgm            → nothing in it is free
-"""
 WIDE = YAML[: YAML.index("0.25") + 4], "image: wide.pgm\nresolution: 1e-3", "a lower --height"
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [*rows(DAMAGED), WIDE])
+@pytest.mark.parametrize(("old", "new", "said"), [*cases("worlds/plan"), WIDE])
 def test_a_damaged_plan_ends_in_a_line(tmp_path, old, new, said):
     path = write(tmp_path, YAML.replace(old, new))
     Image.fromarray(np.zeros((4, 4, 4), np.uint8)).save(tmp_path / "alpha.png")
@@ -119,5 +102,4 @@ def test_a_damaged_plan_ends_in_a_line(tmp_path, old, new, said):
     Image.fromarray(np.full((4, 4), 205, np.uint8)).save(tmp_path / "grey.pgm")
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "full.pgm")
     Image.fromarray(np.full((300, 300), 254, np.uint8)).save(tmp_path / "wide.pgm")
-    with pytest.raises(SceneError, match=said):
-        read_world(path)
+    refuses(said, read_world, path)

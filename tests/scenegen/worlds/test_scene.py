@@ -10,15 +10,16 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-import scenegen.source
+import scenegen.draw.source
 from lidarsim import MujocoEngine
 from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.errors import BrokenError, SceneError
-from scenegen.source import read_scenes
+from scenegen.base.errors import BrokenError, SceneError
+from scenegen.draw.source import read_scenes
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
 from tests.command_line import rows
+from tests.scenegen import cases, refuses
 
 REACH_M = 100.0
 ONE = {"train": 1, "val": 0, "test": 0}
@@ -237,9 +238,9 @@ def test_what_no_world_can_have_ends_in_one_line(tmp_path, monkeypatch, text, sa
         (tmp_path / f"{name}.bin").write_bytes(content)
     for name in ("pipe.xml", "pipe.stl"):
         os.mkfifo(tmp_path / name)
-    monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
+    monkeypatch.setattr(scenegen.draw.source, "SCENE_BYTES", 1 << 30)
     if said.endswith("allowed"):
-        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 1.0)
+        monkeypatch.setattr(scenegen.draw.source, "SCENE_SECONDS", 1.0)
     with pytest.raises(SceneError, match=r"\.xml: ") as caught:
         read_scenes(write(tmp_path, text), ONE, seed=0)
     assert said in str(caught.value)
@@ -263,20 +264,10 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path):
     assert source.notes == (
         f"{folder}: assets.xml, part.xml left out: parts, which other files include",
     )
-    with pytest.raises(SceneError, match="parts alone"):
-        read_scenes(folder / "part.xml", ONE, seed=0)
+    refuses("parts alone", read_scenes, folder / "part.xml", ONE, seed=0)
 
 
-UNSEEN = """
-<geom size="1" pos="0 NaN 0"/>         → <geom pos='0 NaN 0'>
-<geom size="1" quat="0 &#110;an 0 1"/> → <geom quat='0 nan 0 1'>
-<geom size="1 2000000"/>               → '2000000', expected numbers up to 1e+06
-<mesh name="m" builtin="supersphere" params="3000 1 1"/> → expected 300 at most
-<hfield name="h" file="f.bin" size="1 1 1 1"/> → 65536 rows and 65536 columns in 12 bytes
-"""
-
-
-@pytest.mark.parametrize(("element", "said"), rows(UNSEEN))
+@pytest.mark.parametrize(("element", "said"), cases("worlds/scene"))
 def test_the_screen_refuses_what_generate_refuses(element, said):
     assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
     with pytest.raises(BrokenError) as caught:

@@ -1,0 +1,272 @@
+"""What the bench compares, by name: completers, the truth itself, and predictions that somebody
+else made, in an HDF5 file; and the threshold at which the occupancy that a method predicts fits the
+truth best, one rule for the bench and for training."""
+
+import inspect
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from itertools import product
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+
+from lidarsim.grid import Floats, Mask
+from lidarsim.jit import kernel
+from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as
+from scenegen.base.files import real_path
+from scenegen.base.limits import GUARD_S
+from scenegen.dataset.read import AnyDataset, Split
+from scenegen.draw.sample import Sample
+from scenegen.draw.scored import scored_voxels
+from scenegen.model.completion.protocol import (
+    PARTS,
+    MapCompleter,
+    Prediction,
+    PredictionError,
+    check_prediction,
+    plain,
+)
+from scenegen.model.completion.stored import check_file, pairs_in, prediction_at, read_guarded
+from scenegen.model.config import METHODS, Thresholds, split_name
+from scenegen.view.look import evenly
+
+
+class Method(Protocol):
+    """A row of the tables. Methods travel to worker processes."""
+
+    name: str
+    """How the method is called in tables."""
+    learned: bool
+    """Whether the method was trained, or may have been; not one that is only there to be compared
+    with."""
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """What the method says about the map of `sample`, which is one of `split`'s."""
+        ...
+
+
+class Completed:
+    """A completer, shown nothing but what was seen."""
+
+    def __init__(self, completer: MapCompleter):
+        name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
+        lacking = "a `name`, a string" if not isinstance(name, str) else ""
+        try:
+            inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
+        except TypeError:
+            lacking = "a method `complete` that takes (observed, free, *, grid)"
+        if lacking:
+            raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")
+        self._completer, self.name = completer, printable(name)
+        self.learned = bool(getattr(completer, "learned", True))
+        """Whatever the completer says of itself; one that says nothing may be."""
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`. Raises PredictionError where the completer gives what is no
+        prediction."""
+        # copies: a completer may write to what it is given, which the other rows are shown, too
+        maps = sample.observed.copy(), sample.free.copy()
+        prediction = self._completer.complete(*maps, grid=split.dataset.grid)
+        check_prediction(prediction, split.dataset.grid.shape, self.name)
+        return replace(prediction, **{name: plain(getattr(prediction, name)) for name in PARTS})
+
+
+class Truth:
+    """The truth as if it had been predicted: the ceiling, and what the planner itself loses."""
+
+    name = "truth"
+    learned = False
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`."""
+        # whose transform is the distance
+        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))
+
+
+class Predicted:
+    """Predictions in an HDF5 file, or in all such files of a folder: `occupancy_probability` and/or
+    `tudf`, float32 (N, *grid.shape); optionally `probability`, calibrated; and which sample each
+    row predicts: attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,),
+    and `split`, an attribute."""
+
+    learned = True
+
+    def __init__(self, path: Path):
+        self.path, real, is_folder = path, real_path(path), path.is_dir()
+        self.name = printable(real.name if is_folder else real.stem)
+        self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
+
+    def check(self, dataset: AnyDataset, split: str) -> None:
+        """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
+        its grid, in numbers that can be, and are as they were written, where they have digests.
+
+        Another process, with limits, reads all of each first: HDF5 could make a small file large.
+        That costs about as much as reading the file.
+        """
+        names = {(world, viewpoint) for _, world, viewpoint in dataset.split(split).names}
+        shape = dataset.grid.shape
+        about = {"dataset": str(dataset.digest), "split": split}
+        check = partial(check_file, about=about, most=len(names), shape=shape)
+        seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
+        counts = Counter[tuple[int, int]]()
+        for path in self._files:
+            counts.update(read_guarded(check, path, 1 << 62, seconds))
+        if odd := sorted(name for name in names if counts[name] != 1):
+            raise DatasetError(
+                f"{self.path}: {len(odd)} of {len(names)} samples are missing, or there twice, the "
+                f"first is world {odd[0][0]}, viewpoint {odd[0][1]}; predict each sample of split "
+                f"{split} once"
+            )
+
+    @cached_property
+    def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
+        """File and row of every (split, world, viewpoint)."""
+        rows: dict[tuple[str, int, int], tuple[Path, int]] = {}
+        for path in self._files:
+            with h5py.File(path, "r") as file:
+                split = str(file.attrs["split"])
+                rows |= {(split, *pair): (path, row) for row, pair in enumerate(pairs_in(file))}
+        return rows
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`. Raises KeyError for a sample that is not predicted."""
+        path, row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
+        with h5py.File(path, "r") as file:
+            return prediction_at(file, row)
+
+
+def find_method(name: Any) -> Method:
+    """The row called `name`: a known one, or ``module:Class`` of a completer. A row is itself.
+
+    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
+    protocol.
+    """
+    if not isinstance(name, str):
+        return name
+    with raised_as(ScenegenError, "--method: "):
+        kind = METHODS.find(name)
+    odd = f"--method {name}: cannot be made by calling it without arguments: "
+    with raised_as(ScenegenError, odd, of=TypeError):
+        method = kind()
+    if name in METHODS.builtin and hasattr(method, "completion"):  # a row itself, not a completer
+        return method
+    return Completed(method)
+
+
+def rows_of(
+    methods: Sequence[Any], weights: Sequence[str] = (), predictions: Path | None = None
+) -> list[Method]:
+    """Rows of `find_method`, those of networks (`weights`, or NAME=weights), and that of a file of
+    predictions. Raises ScenegenError where two have one name, and where a row cannot be."""
+    rows = list(map(find_method, methods))
+    if weights:
+        from scenegen.model.completion.completer import Completer  # the other rows need no torch
+
+        for name, place in map(split_name, weights):
+            network = Completer.from_pretrained(place, threads=1)
+            network.name = name or network.name
+            rows.append(network)
+    if predictions is not None:
+        rows.append(Predicted(predictions))
+    named = [row.name for row in rows]
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise ScenegenError(
+            f"two rows are called {twice[0]!r}; name a network's row, as in --weights "
+            f"NAME=runs/mine, or rename a file or folder"
+        )
+    return rows
+
+
+def check_rows(rows: Sequence[Method], datasets: Sequence[AnyDataset], split: str) -> None:
+    """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
+    for row, dataset in product(rows, datasets):
+        if (check := getattr(row, "check", None)) is not None:
+            check(dataset, split)
+
+
+MAX_TUNING_SAMPLES = 50
+"""Validation samples on which the bench tunes thresholds, at most."""
+CANDIDATES = {
+    "probability": np.arange(0.05, 1.0, 0.05).round(4),
+    "distance_m": np.arange(0.05, 0.85, 0.05).round(4),
+}
+"""The thresholds that are tried, by the field of `Thresholds`."""
+
+
+def judged_by(prediction: Prediction) -> str:
+    """The field of `Thresholds` that decides which voxels of a prediction are occupied."""
+    return "distance_m" if prediction.occupancy_probability is None else "probability"
+
+
+def ious_by_threshold(prediction: Prediction, truth: Mask, scored: Mask) -> Floats:
+    """IoU at every candidate of the prediction's threshold, from one histogram.
+
+    Args:
+        prediction: Of one map, of shape (*grid.shape).
+        truth: Occupied voxels (*grid.shape).
+        scored: The voxels (*grid.shape) that count.
+
+    Returns:
+        (candidates,): `lidarsim.grid.iou` of ``prediction.occupied(thresholds)`` and the truth.
+    """
+    name = judged_by(prediction)
+    edges = CANDIDATES[name].astype(np.float32)  # as `Prediction.occupied` compares
+    by_probability = name == "probability"
+    values = plain(prediction.occupancy_probability if by_probability else prediction.tudf)
+    values = values.astype(np.result_type(values, np.float32))  # halves and bits, too
+    counts = np.zeros((2, len(edges) + 1), np.int64)
+    grids = [np.ascontiguousarray(grid).reshape(-1) for grid in (values, truth, scored)]
+    _count(*grids, edges, not by_probability, counts)  # type: ignore[call-arg]
+    alarms, hits = counts.cumsum(axis=1)[:, :-1]  # of voxels that pass at most n edges, for edge n
+    free, occupied = counts.sum(axis=1)
+    if by_probability:
+        alarms, hits = free - alarms, occupied - hits
+    union = alarms + occupied
+    return np.where(union, hits / np.maximum(union, 1), 1.0)
+
+
+@kernel
+def _count(values, truth, scored, edges, ties, counts):
+    """Count the scored voxels (voxels,) by the truth and by how many `edges` their value exceeds,
+    or, with `ties`, reaches."""
+    for v in range(len(values)):
+        if scored[v]:
+            passed = 0
+            while passed < len(edges) and (
+                edges[passed] < values[v] or (ties and edges[passed] == values[v])
+            ):
+                passed += 1
+            counts[1 if truth[v] else 0, passed] += 1
+
+
+def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:
+    """The candidate (the first of equal ones) with the largest of the mean `ious` (candidates,), in
+    the field `name` of `usual`; `usual` itself if all are equal."""
+    if np.ptp(ious) < 1e-12:
+        return usual
+    return replace(usual, **{name: float(CANDIDATES[name][int(ious.argmax())])})
+
+
+def tune(method: Method, dataset: AnyDataset, thresholds: Thresholds) -> Thresholds:
+    """The thresholds at which `method` has the largest mean IoU on at most `MAX_TUNING_SAMPLES`
+    validation samples, evenly spread: the same rule for every method.
+
+    If all do equally well, or the method predicts nothing of the validation split, `thresholds`.
+    """
+    split = dataset.split("val")
+    rows, name = [], ""
+    for index in evenly(len(split), MAX_TUNING_SAMPLES) if len(split) else ():
+        sample = split[index]
+        try:
+            completion = method.completion(sample, split)
+        except KeyError:  # a file that predicts the test split alone
+            return thresholds
+        name = judged_by(completion)
+        scored = scored_voxels(sample, dataset.grid, split.home(index).tables.world)
+        rows.append(ious_by_threshold(completion, sample.occupancy, scored))
+    return best_of(name, np.mean(rows, axis=0), thresholds) if rows else thresholds

@@ -1,0 +1,367 @@
+"""The report: both tables, with the paper's figures beside ours, as JSON for machines, and as
+Markdown and one HTML page for people. The page has no script and fetches nothing; texts and names
+are shown as text alone.
+
+Its figures are the means of every metric, and methods compared in pairs.
+"""
+
+import base64
+import math
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenegen.base.files import Json
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric
+from scenegen.model.bench.reliability import reliability, reliability_tables
+from scenegen.model.bench.run import DatasetResult, MethodResult
+from scenegen.model.bench.statistics import (
+    caution,
+    cell,
+    holm,
+    interval,
+    paired_p,
+    summarise,
+    with_std,
+)
+from scenegen.model.bench.visibility import CLASSES
+from scenegen.model.config import UNITS, Thresholds
+from scenegen.model.tables import Table, as_text, page
+
+
+def summaries(
+    method: MethodResult,
+    result: DatasetResult,
+    metrics: Mapping[str, Metric],
+    region: int = 0,
+    chosen: Any = True,
+) -> Json:
+    """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
+    alone."""
+    return {
+        name: summarise(
+            np.where(chosen, method.values(name, region), np.nan),
+            result.worlds_of(name),
+            metric.scale,
+        )
+        for name, metric in metrics.items()
+    }
+
+
+def reconstruction_of(method: MethodResult, result: DatasetResult) -> Json:
+    """The metrics of maps: means over the whole map at the usual thresholds, and variants."""
+    whole_map, unobserved, *by_class, tuned = (
+        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
+    )
+    return {
+        **whole_map,
+        "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
+        "unobserved": unobserved,
+        "by_class": dict(zip(CLASSES, by_class, strict=True)),
+    }
+
+
+def planning_of(found: MethodResult, result: DatasetResult) -> Json:
+    """The metrics of trials: means over all, and over some; ``unmarked`` only in maps of real
+    places."""
+    on_paths = {name: metric for name, metric in PLAN_METRICS.items() if metric.needs == "path"}
+    methods = result.methods.values()
+    learned = [method for method in methods if method.learned] or methods
+    succeeded = [trial.success for trial in found.trials]
+    # (learned methods, trials)
+    all_succeeded = [[trial.success for trial in method.trials] for method in learned]
+    causes = (trial.cause for trial in found.trials if trial.cause is not None)
+    unmarked = {}
+    if found.unmarked:
+        unmarked = {"unmarked": summaries(found.without_marks, result, PLAN_METRICS)}
+    return {
+        **summaries(found, result, PLAN_METRICS),
+        **unmarked,
+        "successes": summaries(found, result, on_paths, chosen=succeeded),
+        "all_succeed": summaries(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
+        "failures": dict(Counter(causes)),
+    }
+
+
+def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
+    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
+    its p-value, corrected over all of them."""
+    tested = [
+        (region, name)
+        for region, metrics in (
+            ("map", METRICS),
+            ("unobserved", METRICS),
+            ("map", PLAN_METRICS),
+            ("unmarked", PLAN_METRICS),
+        )
+        for name, metric in metrics.items()
+        if region in metric.tested and (region != "unmarked" or result.marks_unknown)
+    ]
+    rows = []
+    for (first, first_result), (second, second_result) in combinations(result.methods.items(), 2):
+        for region, name in tested:
+            if region == "unmarked":
+                pair = first_result.without_marks, second_result.without_marks
+            else:
+                pair = first_result, second_result
+            a, b = (method.values(name, int(region == "unobserved")) for method in pair)
+            worlds = result.worlds_of(name)
+            gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
+            title = name if region == "map" else f"{region}_{name}"
+            rows.append(
+                {
+                    "first": first,
+                    "second": second,
+                    "metric": title,
+                    "difference": gained["mean"],
+                    "low": gained["low"],
+                    "high": gained["high"],
+                    "p": paired_p(a, b, worlds, rng=rng),
+                }
+            )
+    for row, corrected in zip(rows, holm([row["p"] for row in rows]).tolist(), strict=True):
+        row["p_holm"] = corrected
+    return rows
+
+
+PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
+"""The paper's Tables I and II, to stand beside ours: by table, kind of worlds, method and metric,
+the mean, and the standard deviation where the paper gives one."""
+TUNED = (
+    "The presets of our worlds were tuned until planning on the true map and on the returns alone "
+    "bracketed the paper's Table II or came near it (docs/results/calibration.md), so agreement "
+    "with that table is in part by construction."
+)
+"""What must stand beside the paper's figures, wherever they are printed."""
+BEST_IOU = "best_iou"
+"""A column of the tables."""
+ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
+REFERENCES = ("truth", "seen")
+"""Rows that read the ground truth, so that they are never marked as the best."""
+CAUSES = {
+    "start_blocked": "none: the start is occupied",
+    "goal_blocked": "none: the goal is occupied",
+    "no_path": "none leads to the goal",
+    "initial_collides": "hits an obstacle",
+    "refined_into_obstacle": "refined into an obstacle",
+}
+"""What came of a path, by the bench's causes of failure."""
+
+
+def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) -> Json:
+    """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``,
+    each {mean, std, low, high, n}, at the paper's thresholds; variants under their own keys beside
+    them; `about` as it is. Where there is one world, low and high are None; where nothing was
+    measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
+    those are None."""
+    parts = ("reconstruction", "planning", "tests", "datasets")
+    report = {**about, **{part: {} for part in parts}}
+    for result in results:
+        rng = np.random.default_rng(seed)
+        first = next(iter(result.methods.values()))  # whose trials have the goals of all
+        methods, partly = result.methods.items(), ""
+        if result.known_share < 1:
+            partly = (
+                f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
+                "known voxels alone, and a path that leaves known space fails. Planning is scored "
+                "twice: with known space marked (all other voxels are occupied to the planner, "
+                "which shows it where the place ends), and not marked"
+            )
+        report["datasets"][result.kind] = {
+            "digest": result.dataset.digest,
+            "samples": len(result.worlds),
+            "worlds": len(np.unique(result.worlds)),
+            "known_share": result.known_share,
+            "note": partly,
+            "trials": len(result.trial_worlds),
+            "blocked_lines": sum(trial.line_blocked for trial in first.trials),
+            "excluded": dict(result.excluded),
+        }
+        parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
+        for part, figures_of in parts_of.items():
+            report[part][result.kind] = {
+                name: figures_of(method, result) for name, method in methods
+            }
+        report["tests"][result.kind] = paired_tests(result, rng)
+        if result.config.reliability:
+            report.setdefault("reliability", {})[result.kind] = {
+                name: reliability(np.array(method.probabilities), result.worlds) or None
+                for name, method in methods
+            }
+    return finite(report)
+
+
+def notes(about: Json) -> list[str]:
+    """What a reader must know of the figures of one of the report's `datasets`."""
+    return [line for line in (about["note"], caution(about["worlds"])) if line]
+
+
+def trial_counts(about: Json) -> str:
+    """How many trials one of the report's `datasets` has, of which kind."""
+    blocked = about["blocked_lines"]
+    return (
+        f"{about['trials']} planning trials: on {blocked} an obstacle blocks the straight line to "
+        f"the goal, on {about['trials'] - blocked} it is free"
+    )
+
+
+def finite(value: Any) -> Any:
+    """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
+    if isinstance(value, Mapping):
+        return {name: finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric], Json, Json]]:
+    """The tables of a kind: their name, metrics, rows, and the paper's rows.
+
+    Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
+    says where it lies: `at`.
+    """
+    metrics, usual = dict[str, Metric](), asdict(Thresholds())
+    for name, metric in METRICS.items():
+        metrics[name] = metric
+        if name == "iou":
+            metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
+    rows = {}
+    for method, row in report["reconstruction"][kind].items():
+        tuned = row["tuned"]["thresholds"]
+        at = "".join(
+            f"{tuned[name]:g}{unit}" for name, unit in UNITS.items() if tuned[name] != usual[name]
+        )
+        rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
+    yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
+    planning, paper = report["planning"][kind], PAPER["planning"].get(kind, {})
+    if not any("unmarked" in row for row in planning.values()):
+        yield "planning", PLAN_METRICS, planning, paper
+        return
+    # in real places, success depends on where the map ends; hits of known obstacles do not
+    metrics = {"hits": PLAN_METRICS["hits"], **PLAN_METRICS}
+    unmarked = {name: row["unmarked"] for name, row in planning.items()}
+    yield "planning, known space not marked", metrics, unmarked, paper
+    yield "planning, known space marked", metrics, planning, paper
+
+
+def blocks(report: Json, kind: str) -> Iterator[str | Table]:
+    """What people are shown of one kind: sentences and tables."""
+    about = report["datasets"][kind]
+    yield _introduction(about)
+    if kind in PAPER["planning"]:
+        yield f"In italics: the paper's figures, of its own worlds. {TUNED}"
+    yield from (f"{note}." for note in notes(about))
+    for title, metrics, rows, paper in tables(report, kind):
+        yield Table(
+            title.capitalize(),
+            [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()],
+            [(method, [cell(row[name]) for name in metrics]) for method, row in rows.items()],
+            [
+                (method, [with_std(*row[name]) if name in row else "–" for name in metrics])
+                for method, row in paper.items()
+            ],
+            [
+                (method, column)
+                for column, (name, metric) in enumerate(metrics.items())
+                for method in best(rows, name, metric)
+            ],
+        )
+    yield _failures(report["planning"][kind])
+    reliabilities = report.get("reliability", {}).get(kind, {})
+    yield from (Table(*table) for table in reliability_tables(reliabilities))
+    by_class = [
+        (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
+        for method, row in report["reconstruction"][kind].items()
+    ]
+    yield Table("IoU by what was seen", CLASSES, by_class)
+    yield _paired_tests(report["tests"][kind])
+
+
+def _introduction(about: Json) -> str:
+    """A dataset's size, and how its tables are to be read."""
+    excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
+    return (
+        f"{about['samples']} samples of {about['worlds']} worlds, dataset "
+        f"{str(about['digest'])[:12]}…; {trial_counts(about)}; excluded draws: "
+        f"{excluded or 'none'}. Mean ± standard deviation over samples or trials, in brackets the "
+        f"95 % interval of the mean, by a jackknife over worlds"
+        f"{', which one world does not give' * (about['worlds'] == 1)}."
+    )
+
+
+def _failures(planning: Json) -> Table:
+    """How many trials of each method failed from which of the `CAUSES` that there are."""
+    rows = {method: row["failures"] for method, row in planning.items()}
+    causes = [cause for cause in CAUSES if any(cause in row for row in rows.values())]
+    return Table(
+        "Trials that failed, by what became of the path",
+        [CAUSES[cause] for cause in causes],
+        [(method, [str(row.get(cause, 0)) for cause in causes]) for method, row in rows.items()],
+    )
+
+
+def _paired_tests(tests: Sequence[Json]) -> Table:
+    """The differences that `_tests` found, a row each."""
+    rows = []
+    for test in tests:
+        difference = "–"
+        if test["difference"] is not None:
+            difference = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
+        cells = (test["metric"], difference, f"{test['p_holm']:.4f}")
+        rows.append((f"{test['first']} − {test['second']}", cells))
+    return Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), rows)
+
+
+def best(rows: Json, name: str, metric: Metric) -> set[str]:
+    """The methods with the best mean of a metric, as it is printed; none of the references."""
+    means = {
+        method: round(row[name]["mean"], 3)
+        for method, row in rows.items()
+        if row[name]["n"] and method not in REFERENCES
+    }
+    sign = {"higher": lambda mean: -mean, "lower": lambda mean: mean, "nearer to 0": abs}
+    worth = sign[metric.better]
+    first = min(map(worth, means.values()), default=None)
+    return {method for method, mean in means.items() if worth(mean) == first}
+
+
+def to_markdown(report: Json) -> str:
+    """The report as Markdown."""
+    about = [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    parts = ["# Bench", "\n".join(about)]
+    for kind in report["datasets"]:
+        parts.append(f"## {kind}")
+        parts += [
+            block if isinstance(block, str) else block.markdown() for block in blocks(report, kind)
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
+    """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
+    shows, and a WebP image."""
+    about = "".join(
+        f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
+        for name, value in report.items()
+        if isinstance(value, str)
+    )
+    body = [f"<dl>{about}</dl>"]
+    for kind in report["datasets"]:
+        body.append(f"<h2>{as_text(kind)}</h2>")
+        body += [
+            f"<p>{as_text(block)}</p>" if isinstance(block, str) else block.html()
+            for block in blocks(report, kind)
+        ]
+        images = [
+            f"<figure><figcaption>{as_text(caption)}</figcaption><img alt='{as_text(caption)}' "
+            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
+            for caption, image in pictures.get(kind, ())
+        ]
+        body.append(f"<div class='charts'>{''.join(images)}</div>")
+    return page("Bench", "".join(body))

@@ -1,0 +1,382 @@
+"""Run the bench: every method on every test map of a dataset, reconstruction and planning, by all
+cores.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from lidarsim.grid import Field, Floats, Ints, Mask
+from scenegen.base.errors import DatasetError, empty_split
+from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
+from scenegen.base.workers import ALONE
+from scenegen.dataset.piece import Rows
+from scenegen.dataset.read import AnyDataset, Split
+from scenegen.draw.sample import rng_of
+from scenegen.model.bench.methods import Method, check_rows, tune
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, measure
+from scenegen.model.bench.reliability import count_map
+from scenegen.model.bench.trials import (
+    Measurement,
+    Trials,
+    draw_trials,
+    line_blocked,
+    risk_of,
+    run_trial,
+)
+from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, Case, walled
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
+from scenegen.truth import distance_field
+from scenegen.view.look import evenly
+
+CHUNK = 10
+"""Samples a task of a worker."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodResult:
+    """One method on one dataset, sample by sample and trial by trial."""
+
+    reconstruction: Floats
+    """(N, 3 + classes, metrics): over the whole map, over its unknown voxels, then by class of
+    voxels; and last over the whole map again, at the tuned thresholds."""
+    thresholds: Thresholds
+    """The tuned ones."""
+    trials: tuple[Measurement, ...]
+    unmarked: tuple[Measurement, ...] = ()
+    """The same trials in maps of real places, planned without knowing which voxels are unknown in
+    the map: in `trials`, the planner holds these for occupied. () where all is known."""
+    learned: bool
+    """Whether the method was trained, or may have been: see `Method.learned`."""
+    probabilities: list[Floats]
+    """Of every map, see `scenegen.model.bench.reliability.count`; empty unless asked for."""
+
+    @property
+    def without_marks(self) -> "MethodResult":
+        """The method with the trials of `unmarked`."""
+        return replace(self, trials=self.unmarked)
+
+    def values(self, metric: str, region: int = 0) -> Floats:
+        """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
+        trial, (trials,)."""
+        if metric in PLAN_METRICS:
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
+        return self.reconstruction[:, region, [*METRICS].index(metric)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DatasetResult:
+    """All methods on one dataset."""
+
+    kind: str
+    dataset: AnyDataset
+    config: BenchConfig
+    worlds: Ints
+    """(N,): the samples' worlds."""
+    known_share: float
+    """The mean share of a sample's voxels that are known: 1 but for maps of real places."""
+    trial_worlds: Ints
+    """(trials,): the trials' worlds."""
+    trial_places: tuple[tuple[int, int], ...]
+    """Each trial's sample by its number in the split, and the trial's own number within the
+    sample."""
+    excluded: Counter[str]
+    """Drawn trials that are not valid, by reason."""
+    methods: dict[str, MethodResult]
+
+    @property
+    def marks_unknown(self) -> bool:
+        """Whether these are maps of real places, with trials of `MethodResult.unmarked`."""
+        return any(method.unmarked for method in self.methods.values())
+
+    def worlds_of(self, metric: str) -> Ints:
+        """The worlds of what `MethodResult.values` gives."""
+        return self.trial_worlds if metric in PLAN_METRICS else self.worlds
+
+
+class _MethodOnSample(NamedTuple):
+    """What one method gave on one sample; see `MethodResult`."""
+
+    reconstruction: Floats
+    """(3 + classes, metrics)"""
+    trials: list[Measurement]
+    unmarked: list[Measurement]
+    probabilities: Floats | None
+    """See `scenegen.model.bench.reliability.count`; None unless asked for."""
+
+
+class _SampleResult(NamedTuple):
+    """What all methods gave on one sample."""
+
+    number: int
+    """The sample's in its split."""
+    world: int
+    known_share: float
+    excluded: Counter[str]
+    methods: list[_MethodOnSample]
+
+
+def check_middle(
+    dataset: AnyDataset, instead: str = "bench datasets whose maps lie around the sensor"
+) -> None:
+    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
+    would not begin at the sensor."""
+    for mapping in (sensing.mapping for sensing in dataset.settings):
+        if not mapping.centred:
+            raise DatasetError(
+                f"{dataset.name}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
+                f"sensor, and plans begin in a map's middle; {instead}"
+            )
+
+
+def check_whole(dataset: AnyDataset, instead: str) -> None:
+    """Raise DatasetError, with what to do `instead`, for maps of real places, of which not all is
+    known."""
+    if any(one.manifest.known is not None for one in dataset.datasets):
+        raise DatasetError(
+            f"{dataset.name}: its samples are of maps of real places, which do not know all; "
+            f"{instead}"
+        )
+
+
+def filled(dataset: AnyDataset, split: str) -> Split:
+    """A split of a dataset. Raises DatasetError where it is empty."""
+    samples = dataset.split(split)
+    if not len(samples):
+        raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
+    return samples
+
+
+def bench(
+    dataset: AnyDataset,
+    methods: Sequence[Method],
+    config: BenchConfig,
+    *,
+    kind: str | None = None,
+    execute: Executor = ALONE,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
+) -> DatasetResult:
+    """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
+    goals for every method.
+
+    `execute` has a few samples measured at a time. `on_start` is called with the number of samples
+    once the work has begun, `on_done` with how many more are measured. Raises DatasetError for an
+    empty split, and where `execute` leaves samples to others: a report is of all of them.
+    """
+    split = filled(dataset, config.split)
+    check_middle(dataset)
+    if config.reliability:
+        check_whole(dataset, "leave --reliability out")
+    kind = kind or dataset.kind
+    of_kind = split.by_kind().get(kind)
+    if of_kind is None:
+        raise DatasetError(f"{dataset.name}: holds no {kind} in its {config.split} split")
+    numbers = [of_kind[n] for n in evenly(len(of_kind), config.samples or len(of_kind))]
+    tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
+    check_together(execute, "a report takes")
+    tuned = [tune(method, dataset, config.thresholds) for method in methods]
+    # a tenth more than asked for: not every sample has as many valid goals
+    trials_each = math.ceil(1.1 * config.trials / len(numbers))
+    work = partial(_bench_samples, dataset, methods, tuned, trials_each, config)
+    chunks = counted(execute, work, tasks, total=len(numbers), on_start=on_start, on_done=on_done)
+    samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
+    # (trial's number within its sample, sample): first trials come first, so that a cut to the
+    # number asked for leaves all samples about as many
+    trials = sorted(
+        (trial, n)
+        for n, sample in enumerate(samples)
+        for trial in range(len(sample.methods[0].trials))
+    )[: config.trials]
+    by_method = zip(*(sample.methods for sample in samples), strict=True)
+    return DatasetResult(
+        kind=kind,
+        dataset=dataset,
+        config=config,
+        worlds=np.array([sample.world for sample in samples]),
+        known_share=float(np.mean([sample.known_share for sample in samples])),
+        trial_worlds=np.array([samples[n].world for _, n in trials], np.int64),
+        trial_places=tuple((samples[n].number, trial) for trial, n in trials),
+        excluded=sum((sample.excluded for sample in samples), start=Counter()),
+        methods={
+            method.name: _joined(method, best, results, trials)
+            for method, best, results in zip(methods, tuned, by_method, strict=True)
+        },
+    )
+
+
+def _joined(
+    method: Method,
+    tuned: Thresholds,
+    results: Sequence[_MethodOnSample],
+    trials: Sequence[tuple[int, int]],
+) -> MethodResult:
+    """The result of a method from its results on all samples. Of `trials`, each the number of a
+    trial within its sample and the number of that sample, all others are left out."""
+    return MethodResult(
+        reconstruction=np.array([result.reconstruction for result in results]),
+        thresholds=tuned,
+        trials=tuple(results[n].trials[trial] for trial, n in trials),
+        unmarked=tuple(results[n].unmarked[trial] for trial, n in trials if results[n].unmarked),
+        learned=method.learned,
+        probabilities=[
+            result.probabilities for result in results if result.probabilities is not None
+        ],
+    )
+
+
+def bench_all(
+    datasets: Sequence[AnyDataset],
+    methods: Sequence[Method],
+    config: BenchConfig,
+    *,
+    execute: Executor,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
+) -> list[DatasetResult]:
+    """Measure `methods` on every kind of worlds in `datasets`; for `on_start` and `on_done`, which
+    are called for each kind, see `bench`.
+
+    Raises DatasetError where a file of predictions is not of all datasets, and where two datasets
+    have samples of one kind; and as `bench` does.
+    """
+    check_rows(methods, datasets, config.split)
+    tables = [
+        (dataset, kind)
+        for dataset in datasets
+        # one without samples is refused when it is measured
+        for kind in dataset.split(config.split).by_kind() or (dataset.kind,)
+    ]
+    kinds = [kind for _, kind in tables]
+    if len(set(kinds)) < len(kinds):
+        raise DatasetError(
+            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
+            f"of each"
+        )
+    return [
+        bench(
+            dataset,
+            methods,
+            config,
+            kind=kind,
+            execute=execute,
+            on_start=on_start,
+            on_done=on_done,
+        )
+        for dataset, kind in tables
+    ]
+
+
+def _bench_samples(
+    dataset: AnyDataset,
+    methods: Sequence[Method],
+    tuned: Sequence[Thresholds],
+    trials_each: int,
+    config: BenchConfig,
+    rows: Rows,
+) -> list[_SampleResult]:
+    """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
+    `trials_each` planning trials on each."""
+    split = dataset.split(rows.split)
+    measured = []
+    for index in rows.numbers:
+        sample = split[index]
+        case = Case(sample, index, split)
+        drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
+        results = [
+            _bench_method(method, best, case, drawn.goals, config)
+            for method, best in zip(methods, tuned, strict=True)
+        ]
+        known_share = 1.0 if sample.known is None else float(sample.known.mean())
+        excluded = Counter(drawn.excluded)
+        measured.append(_SampleResult(index, int(sample.world), known_share, excluded, results))
+    return measured
+
+
+def _bench_method(
+    method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
+) -> _MethodOnSample:
+    """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
+    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities."""
+    sample, grid, usual = case.sample, case.grid, config.thresholds
+    prediction = method.completion(sample, case.split)
+
+    def scores(at: Thresholds) -> Floats:
+        """(2 + classes, metrics) of the map at some thresholds."""
+        return measure(
+            prediction.occupied(at),
+            prediction.distance(at, grid),
+            sample.occupancy,
+            sample.tudf,
+            classes=case.classes,
+            class_count=len(CLASSES),
+            union=UNOBSERVED,
+            certain=case.certain,
+        )
+
+    by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
+    trials = plan_all(prediction, case, goals, config)
+    unmarked = []
+    if sample.known is not None:
+        unmarked = plan_all(prediction, case, goals, config, marked=False)
+    probabilities = count_map(prediction, case) if config.reliability else None
+    reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
+    return _MethodOnSample(reconstruction, trials, unmarked, probabilities)
+
+
+def plan_all(
+    prediction: Prediction, case: Case, goals: Floats, config: BenchConfig, *, marked: bool = True
+) -> list[Measurement]:
+    """Plan on what is predicted of a sample's map to every goal (trials, 3), map frame, metres, and
+    judge in its truth. See `planner_maps` for `marked`."""
+    occupied, distance, risk = planner_maps(prediction, case, config, marked=marked)
+    sample, grid, plan = case.sample, case.grid, config.plan
+    obstacle, crossed = sample.occupancy.reshape(-1), sample.free.reshape(-1)
+    measured = []
+    for goal in goals:
+        trial = run_trial(occupied, distance, *case.truth, goal, grid, plan, risk)
+        hits = np.array(trial.hits, np.int64)
+        hits = hits[obstacle[hits]]  # without those in unknown voxels
+        measured.append(
+            replace(
+                trial,
+                line_blocked=line_blocked(case.truth[0], goal, grid, plan),
+                hits_obstacle=len(hits) > 0,
+                hits_crossed_only=len(hits) > 0 and bool(crossed[hits].all()),
+            )
+        )
+    return measured
+
+
+def planner_maps(
+    said: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
+) -> tuple[Mask, Field, Field | None]:
+    """What the planner of `config` is given of a prediction: a collision map, distances, metres,
+    and for the careful planner the risk of every voxel, (*grid.shape) each. If `marked`, voxels
+    that are unknown in a map of a real place are occupied, whatever is predicted of them."""
+    at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
+    sample, grid = case.sample, case.grid
+    if careful:
+        at = replace(at, probability=plan.careful_probability)
+    occupied, distance = said.occupied(at), said.distance(at, grid)
+    if plan.field == "transform":
+        distance = distance_field(occupied, grid)
+    if marked:
+        occupied, distance = walled(occupied, distance, sample.known, grid)
+    seen = sample.observed | sample.free
+    return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
+
+
+def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator) -> Trials:
+    """The first `count` trials on the map of a sample, with goals within its world."""
+    world = case.split.home(case.index).tables.world  # those from MJCF files have no box
+    origin = case.sample.origin
+    bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin
+    return draw_trials(case.truth[0], case.grid, plan, count=count, rng=rng, bounds=bounds)

@@ -1,0 +1,148 @@
+"""What methods say of a sample, and the paths that the bench plans on it, as they are shown;
+pictures of trials that failed, and charts.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from lidarsim.grid import Field, Floats, Mask
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import Json
+from scenegen.dataset.read import Split
+from scenegen.draw.sample import rng_of
+from scenegen.model.bench.methods import Method
+from scenegen.model.bench.planner import Lattice
+from scenegen.model.bench.report import CAUSES, tables
+from scenegen.model.bench.run import DatasetResult, planner_maps, trials_of
+from scenegen.model.bench.trials import judge, plan_trial
+from scenegen.model.bench.visibility import Case
+from scenegen.model.config import BenchConfig, PlanConfig
+from scenegen.view.look import Guess, Route, look_into
+
+
+def guesses(
+    methods: Sequence[Method], config: BenchConfig, trial: int | None, split: Split, index: int
+) -> list[Guess]:
+    """What `methods` say of sample `index` of a split, each with its path to the goal of the
+    bench's trial number `trial` in that sample, at the thresholds and by the planner of `config`;
+    without paths where `trial` is None, or the sample has no such trial."""
+    case, goal = Case(split[index], index, split), None
+    if trial is not None:
+        goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
+        goal = goals[trial] if len(goals) > trial else None
+    guessed = []
+    for method in methods:
+        try:
+            prediction = method.completion(case.sample, split)
+        except KeyError:
+            raise DatasetError(f"{method.name} does not predict it") from None
+        at = config.thresholds
+        occupied, tudf = prediction.occupied(at), prediction.distance(at, case.grid)
+        maps = planner_maps(prediction, case, config)
+        route = None if goal is None else route_to(goal, *maps, case, config.plan)
+        guessed.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
+    return guessed
+
+
+def route_to(
+    goal: Floats, occupied: Mask, tudf: Field, risk: Field | None, case: Case, config: PlanConfig
+) -> Route:
+    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
+    truth; see `scenegen.model.bench.trials.run_trial`."""
+    origin, grid = case.sample.origin, case.grid
+    plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
+    measured = judge(plan, refined, *case.truth, grid)
+    lattice = Lattice(grid, config.step_voxels)
+    outcome = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
+    if measured.cause is not None:
+        outcome = CAUSES[measured.cause]
+    return Route(
+        start=origin + lattice.centres(lattice.start),
+        goal=origin + goal,
+        points=None if refined is None else origin + refined,
+        told=outcome,
+        hit=None if measured.hit is None else grid.centres(origin).reshape(-1, 3)[measured.hit],
+    )
+
+
+MAX_FAILURES = 3
+WIDE = 900
+"""Pixels of a picture."""
+
+
+def failing(result: DatasetResult) -> tuple[str, list[int]]:
+    """The learned method that succeeds most often, and trials of different worlds in which its path
+    meets an obstacle.
+
+    "" and none where no method is learned.
+    """
+    learned = {name: method for name, method in result.methods.items() if method.learned}
+    if not learned:
+        return "", []
+    name = max(learned, key=lambda learner: sum(trial.success for trial in learned[learner].trials))
+    worlds: dict[int, int] = {}
+    for n, trial in enumerate(learned[name].trials):
+        if trial.hit is not None:
+            worlds.setdefault(int(result.trial_worlds[n]), n)
+    return name, list(worlds.values())[:MAX_FAILURES]
+
+
+def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
+    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
+    installed."""
+    from scenegen.view.figures import draw_paths
+
+    learned = [method for method in methods if method.learned]
+    name, trials = failing(result)
+    pictures = []
+    for n in trials:
+        index, turn = result.trial_places[n]
+        of_trial = partial(guesses, learned, result.config, turn)
+        look = look_into(result.dataset.split(result.config.split), index, of_trial)
+        caption = f"{name} fails: {look.name}, goal {turn}"
+        figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
+        pictures.append((caption, _webp(figure)))
+    return pictures
+
+
+CHARTS = {"reconstruction": ("iou", "near_rmse")}
+"""Metrics that are drawn, by table; of planning, the one that leads the table, and clearance."""
+
+
+def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
+    """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
+    ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
+    from matplotlib.figure import Figure
+
+    from scenegen.view.panels import MAP, SOFT, plain
+
+    charts = []
+    for table, metrics, rows, reference in tables(report, kind):
+        for name in CHARTS.get(table, (next(iter(metrics)), "min_clearance")):
+            dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
+            papers = {
+                f"{method} (paper)": row[name][0]
+                for method, row in reference.items()
+                if name in row
+            }
+            figure = Figure(figsize=(5.8, 0.6 + 0.26 * len([*dots, *papers])), layout="constrained")
+            axes = figure.subplots()
+            for method, metric in dots.items():
+                ends = None if metric["low"] is None else [metric["low"], metric["high"]]
+                axes.plot(ends or [metric["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
+                axes.plot(metric["mean"], plain(method)[:24], "o", color=MAP)
+            axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
+            axes.invert_yaxis()
+            axes.grid(axis="x")
+            charts.append((metrics[name].label, _webp(figure)))
+    return charts
+
+
+def _webp(figure: Any) -> bytes:
+    """A figure of matplotlib as a picture of the report."""
+    from scenegen.view.panels import to_bytes
+
+    figure.set_dpi(WIDE / figure.get_figwidth())
+    return to_bytes(figure, ".webp")

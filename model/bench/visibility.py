@@ -1,0 +1,173 @@
+"""Which part of a map was seen how, and what the sensor had a chance to know."""
+
+import dataclasses
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from lidarsim import AnalyticEngine, Sensor
+from lidarsim.grid import Field, GridSpec, Mask
+from lidarsim.scan import Scan
+from lidarsim.solids import Solids
+from lidarsim.voxelization import fuse
+from scenegen.dataset.read import AnyDataset, Split
+from scenegen.draw.sample import Sample
+from scenegen.draw.scored import certain_distances, scored_voxels
+from scenegen.model.completion.protocol import Prediction
+from scenegen.truth import distance_field, rasterize
+from scenegen.worlds.world import solid
+
+CLASSES = ("observed", "crossed", "occluded", "interior", "out_of_view")
+"""How a voxel was seen. An `observed` voxel holds a return. A `crossed` one holds none, and some
+ray passes through it. All others are unknown: an `interior` voxel is occupied, and so are its six
+neighbours; an `occluded` one lies on the way of some ray that ended before it; an `out_of_view` one
+lies on the way of none."""
+UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out_of_view"))
+"""The classes of unknown voxels: neither observed nor crossed."""
+UNSCORED = 255
+"""Stands in place of a class where a voxel lies below the ground, or where nobody knows what is
+there: no score counts it."""
+
+
+def walled(
+    occupied: Mask,
+    distance: Field,
+    known: Mask | None,
+    grid: GridSpec,
+) -> tuple[Mask, Field]:
+    """A collision map and a field (*grid.shape each) for plans that keep to `known` space: what is
+    not known is as solid as what is occupied."""
+    if known is None:
+        return occupied, distance
+    return occupied | ~known, np.minimum(distance, distance_field(~known, grid))
+
+
+def classify(
+    sample: Sample,
+    *,
+    grid: GridSpec,
+    scored: Mask | None = None,
+    lidar: Sensor | None = None,
+) -> NDArray[np.uint8]:
+    """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`; `UNSCORED`
+    in those that are not `scored`, where these are given. `lidar` is the sensor of a sample that
+    does not know its own."""
+    in_view = within_view(sample, grid, lidar)
+    classes = np.where(
+        in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
+    )
+    six = ndimage.generate_binary_structure(3, 1)
+    # beyond the map counts as occupied
+    inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)
+    classes[inside] = CLASSES.index("interior")
+    classes[sample.free] = CLASSES.index("crossed")
+    classes[sample.observed] = CLASSES.index("observed")
+    if scored is not None:
+        classes[~scored] = UNSCORED
+    return classes
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One sample, and what every method is measured by on it, made when it is first asked for.
+    Maps are (*grid.shape)."""
+
+    sample: Sample
+    index: int
+    """The sample's in its split."""
+    split: Split
+
+    @property
+    def grid(self) -> GridSpec:
+        """The map's."""
+        return self.split.dataset.grid
+
+    @cached_property
+    def classes(self) -> NDArray[np.uint8]:
+        """How each voxel was seen; see `classify`."""
+        scored = scored_voxels(self.sample, self.grid, self.split.home(self.index).tables.world)
+        return classify(self.sample, grid=self.grid, scored=scored)
+
+    @cached_property
+    def certain(self) -> Mask | None:
+        """See `certain_distances`."""
+        return certain_distances(self.sample.tudf, self.sample.known, self.grid)
+
+    @cached_property
+    def truth(self) -> tuple[Mask, Field]:
+        """The ground truth that paths are judged by, in which what is not known is as solid as what
+        is occupied; and its distance field, metres."""
+        sample = self.sample
+        return walled(sample.occupancy, sample.tudf, sample.known, self.grid)
+
+
+class Seen:
+    """The truth of the obstacles that returned something, as if it had been predicted.
+
+    It is no upper bound. Of the other obstacles it has nothing, where a network can guess what
+    is usual in such worlds: walls of the next room, say."""
+
+    name = "seen"
+    learned = False
+
+    def completion(self, sample: Sample, split: Split) -> Prediction:
+        """See `Method.completion`. Raises DatasetError where the sample's world cannot be
+        compiled."""
+        return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
+
+
+@lru_cache(maxsize=1)  # every method on a sample asks for the same
+def seen_occupancy(sample: Sample, split: Split) -> Mask:
+    """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
+    one of the sample's rays, wherever it did so.
+
+    Which geom a ray met is found by casting anew in the archived world: a dataset stores ranges
+    alone. Rays without a stored return count as none. Raises DatasetError where the world cannot be
+    compiled.
+    """
+    dataset = split.dataset
+    solids, engine = _world(dataset, split.name, int(sample.world))
+    scans = sample.scans()
+    origins = np.array([scan.pose.position for scan in scans])
+    directions = np.array([scan.directions for scan in scans])
+    hits = engine.hits(origins, directions, scans[0].lidar.max_range_m)
+    geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
+    return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)
+
+
+def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
+    """Those of `solids` whose numbers are among `geoms` (k,)."""
+    chosen = np.isin(solids.geom, geoms)
+    plain, meshes = np.split(chosen, [len(solids.shape)])
+    sizes = np.diff(solids.mesh_start)
+    arrays = {
+        name: getattr(solids, name)[plain]
+        for name in ("shape", "size", "position", "rotation", "lower", "upper")
+    }
+    return dataclasses.replace(
+        solids,
+        **arrays,
+        triangles=solids.triangles[np.repeat(meshes, sizes)],
+        mesh_start=np.cumsum([0, *sizes[meshes]]),
+        mesh_filled=solids.mesh_filled[meshes],
+        geom=solids.geom[chosen],
+    )
+
+
+@lru_cache(maxsize=2)  # the samples of a world come one after the other
+def _world(dataset: AnyDataset, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
+    """The solids of an archived world, and what casts rays in it."""
+    solids = solid(dataset.compile(split, number), f"{split} world {number}").solids
+    return solids, AnalyticEngine(solids, threads=1)
+
+
+def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
+    """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
+    endless = [
+        Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
+        for scan in sample.scans(sensor)
+    ]
+    return fuse(endless, grid, sample.origin).free

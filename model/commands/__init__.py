@@ -1,2 +1,0 @@
-"""The commands that train networks, complete maps and score completions, one a file; see
-`scenegen.cli`."""

@@ -1,0 +1,291 @@
+"""Predictions in HDF5 files: written whole with digests, and looked at before they are used."""
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from scenegen.base.errors import DatasetError, GuardError, printable, raised_as, short
+from scenegen.base.files import whole
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.base.reading import open_bounded
+from scenegen.base.workers import guarded
+from scenegen.dataset.layout import READ_ERRORS, Chunks
+from scenegen.dataset.shard import compress
+from scenegen.model.calibration import StoredProbability
+from scenegen.model.completion.protocol import (
+    PARTS,
+    STORED,
+    Prediction,
+    PredictionError,
+    check_prediction,
+)
+
+PACKED = {"compression": "gzip", "compression_opts": 1}
+"""How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
+its chunks, it crashes."""
+WHO = ("world", "viewpoint")
+"""Names of the columns that say which sample a row predicts."""
+SAMPLES = "sha256"
+"""Name of the column with the digest of each row."""
+OTHERS = "others"
+"""Name of the attribute with the names of arrays of other targets than `PARTS`, after commas."""
+DIGEST = "digest"
+"""Name of the attribute with the digest of the file: of its other attributes, and of its columns or
+maps."""
+
+
+class _Disk(io.FileIO):
+    """What HDF5 writes to. A disk that refuses ends the writing at once; all that HDF5 must still
+    write to close the file, and would fail at again and again, then goes nowhere."""
+
+    refused = False
+
+    def write(self, content: Any) -> int:
+        """All of `content`. Raises the first OSError, and no other."""
+        left = memoryview(content)
+        try:
+            while left.nbytes and not self.refused:
+                left = left[super().write(left) :]
+        except OSError:
+            self.refused = True
+            raise
+        return memoryview(content).nbytes
+
+    def truncate(self, size: int | None = None) -> int:
+        """The same."""
+        return 0 if self.refused else super().truncate(size)
+
+
+def read_guarded(
+    read: Callable[[Path], Any], path: Path, most_bytes: int, seconds: float = GUARD_S
+) -> Any:
+    """What `read` makes of a stranger's HDF5 file, `guarded`.
+
+    Args:
+        read: Opens the file by its path; the result must be picklable.
+        path: A regular file; a pipe is refused.
+        most_bytes: The largest file that is read.
+        seconds: How long `read` may take.
+
+    Raises:
+        DatasetError: The file is missing or too large, or HDF5 crashes, hangs or swells on it.
+        ScenegenError: Whatever `read` raises.
+    """
+    open_bounded(path, most_bytes).close()
+    try:
+        return guarded(read, path, seconds=seconds, memory_bytes=GUARD_BYTES)
+    except GuardError as error:
+        raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None
+
+
+@contextmanager
+def new_hdf5(path: Path) -> Iterator[h5py.File]:
+    """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
+    with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
+        yield file
+
+
+def write_map(file: h5py.File, name: str, values: Any, *, row: int = 0, count: int = 0) -> None:
+    """Write a map (X, Y, Z), or (channels, X, Y, Z), as one chunk: as an array of its own, or as a
+    row of one for `count` maps."""
+    if name not in file:
+        shape = (count, *values.shape) if count else values.shape
+        chunks = (1, *values.shape) if count else values.shape
+        file.create_dataset(name, shape, values.dtype, chunks=chunks, **PACKED)
+    place = (row,) * bool(count) + (0,) * values.ndim
+    file[name].id.write_direct_chunk(place, compress(values))
+
+
+def digest_of(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
+    """SHA-256 of facts and arrays, whatever their order."""
+    facts = json.dumps(dict(about), sort_keys=True, default=_plain)
+    digest = hashlib.sha256(facts.encode())
+    for name, values in sorted(arrays.items()):
+        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).data)
+    return digest.digest()
+
+
+def _plain(value: Any) -> Any:
+    """An attribute of HDF5 as JSON has it."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
+
+
+def sample_digest(pair: Sequence[int], maps: Mapping[str, Any]) -> bytes:
+    """SHA-256 of what is predicted of the sample (world, viewpoint): arrays by name."""
+    return digest_of(dict(zip(WHO, map(int, pair), strict=True)), maps)
+
+
+def check_digest(file: h5py.File, names: Sequence[str]) -> None:
+    """Raise DatasetError unless a file's attributes and its arrays called `names` have the digest
+    that was written with them."""
+    about = dict(file.attrs)
+    digest = about.pop(DIGEST, None)
+    if digest != digest_of(about, {name: file[name][()] for name in names}).hex():
+        raise DatasetError("is not as it was written; complete it again")
+
+
+def check_file(
+    path: Path,
+    *,
+    about: Mapping[str, str],
+    most: int,
+    shape: tuple[int, ...],
+    sealed: bool = False,
+) -> list[tuple[int, int]]:
+    """Look at a file of predictions, all of it: HDF5 could make a small file large, so call this in
+    a process with limits.
+
+    Args:
+        path: The file.
+        about: What its attributes have to say.
+        most: How many samples it predicts at most.
+        shape: The shape of a map.
+        sealed: Whether it must have digests; if it has some, they must be right in any case.
+
+    Returns:
+        The samples, (world, viewpoint), that it predicts.
+
+    Raises:
+        DatasetError: It is anything else, or damaged.
+    """
+    wrong = raised_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
+    with wrong, h5py.File(path, "r") as file:
+        for name, expected in about.items():
+            if (value := str(file.attrs.get(name))) != expected:
+                raise DatasetError(f"predicts {name} {short(value)}, expected {short(expected)}")
+        sealed = sealed or DIGEST in file.attrs
+        columns = (*WHO, SAMPLES) if sealed else WHO
+        _check_arrays(file, columns, most, shape)
+        if sealed:
+            check_digest(file, columns)
+        pairs = pairs_in(file)
+        for row, pair in enumerate(pairs):
+            check_prediction(prediction_at(file, row), shape, f"row {row}")
+            maps = {name: file[name][row] for name in arrays_in(file)}
+            if sealed and file[SAMPLES][row].tobytes() != sample_digest(pair, maps):
+                raise DatasetError(
+                    f"world {pair[0]}, viewpoint {pair[1]} is not as it was written; complete it "
+                    "again"
+                )
+        return pairs
+
+
+def _check_arrays(
+    file: h5py.File, columns: Sequence[str], most: int, shape: tuple[int, ...]
+) -> None:
+    """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
+    one row a sample, at most so many, and maps of this shape."""
+    others = others_in(file)
+    links = {name: file.get(name, getlink=True) for name in (*columns, *STORED, *others)}
+    names = [name for name, link in links.items() if link is not None]
+    if not {*columns, *others} <= set(names) or not set(PARTS) & set(names):
+        raise DatasetError(
+            f"expected {', '.join((*columns, *others))}, and at least one of {', '.join(PARTS)}; "
+            f"found {names}"
+        )
+    row_shapes = {"world": (), "viewpoint": (), SAMPLES: (32,)}
+    for name in names:
+        # other links lead to other files, as virtual and external data do
+        data: Any = file[name] if isinstance(links[name], h5py.HardLink) else None
+        is_here = isinstance(data, h5py.Dataset) and not data.is_virtual and not data.external
+        kinds, numbers = ("iu", "whole numbers") if name in columns else ("fiub", "float32")
+        if not is_here or data.dtype.kind not in kinds:
+            raise DatasetError(f"{name} is no array of {numbers} in this file")
+        expected = (*file["world"].shape[:1], *row_shapes.get(name, shape))
+        if name in others and data.ndim == len(expected) + 1:  # which has channels
+            expected = (expected[0], data.shape[1], *shape)
+        if data.shape != expected:
+            raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
+        if data.chunks:
+            _check_chunks(name, data)
+    if (count := file["world"].shape[0]) > most:
+        raise DatasetError(f"predicts {count} samples, expected {most} at most")
+    for name in names:  # HDF5 would make up zeros
+        if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
+            raise DatasetError(f"{name} is not written to its end; predict each sample once")
+
+
+def _check_chunks(name: str, data: h5py.Dataset) -> None:
+    """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever
+    comes out."""
+    with raised_as(DatasetError, f"{name} ", of=ValueError):
+        chunks = Chunks(data.id)
+    if chunks.bytes > MOST_CHUNK_BYTES:
+        raise DatasetError(f"{name} has chunks of {chunks.chunk}; store one map a chunk")
+    places: list[tuple[int, ...]] = []
+    data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
+    for place in places:
+        with raised_as(DatasetError, f"{name}: its chunk at {place} holds ", of=READ_ERRORS):
+            chunks.read(place)
+
+
+def about_others(prediction: Prediction) -> dict[str, str]:
+    """What a file says of the arrays that it has besides `STORED`; nothing where it has none."""
+    return {OTHERS: ",".join(prediction.others)} if prediction.others else {}
+
+
+def others_in(file: h5py.File) -> list[str]:
+    """Names of the arrays of other targets that a file says it has. Raises DatasetError for names
+    that no target has."""
+    text = str(file.attrs.get(OTHERS, ""))
+    names = text.split(",") if text else []
+    if len(set(names)) < len(names) or not all(
+        name.isidentifier() and name not in (*WHO, SAMPLES, *STORED) for name in names
+    ):
+        raise DatasetError(f"names targets {short(text)}, expected names of arrays after commas")
+    return names
+
+
+def arrays_in(file: h5py.File) -> list[str]:
+    """Names of the arrays that a file predicts."""
+    return [name for name in (*STORED, *others_in(file)) if name in file]
+
+
+def pairs_in(file: h5py.File) -> list[tuple[int, int]]:
+    """The sample, (world, viewpoint), of each row."""
+    return list(zip(*(file[name][:].tolist() for name in WHO), strict=True))
+
+
+def prediction_at(file: h5py.File, row: int) -> Prediction:
+    """The prediction in a row."""
+    maps = {name: file[name][row] for name in arrays_in(file)}
+    maps |= {name: maps[name].astype(np.float32) for name in STORED if name in maps}
+    probability = maps.pop("probability", None)
+    calibration = None if probability is None else StoredProbability(probability=probability)
+    return Prediction.of(maps, calibration=calibration)
+
+
+def prediction_facts(path: Path) -> dict[str, Any]:
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
+    Raises DatasetError."""
+    return read_guarded(_facts, path, 1 << 62)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    with h5py.File(path, "r") as file:
+        about = {
+            name: printable(file.attrs[name])[:100]
+            for name in ("method", "split", "dataset")
+            if name in file.attrs
+        }
+        parts = {name: list(file[name].shape) for name in arrays_in(file)}
+        if "occupancy" in file and "method" not in about:  # the truth
+            raise DatasetError(
+                f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
+            )
+    if not parts:
+        raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
+    return {
+        "predictions": str(path),
+        **about,
+        "of": "a split" if "split" in about else "a scan",
+        "arrays": parts,
+    }

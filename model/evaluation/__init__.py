@@ -1,2 +1,0 @@
-"""What a completion is worth: reconstruction, planning on the completed map, statistics, and the
-report."""

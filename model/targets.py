@@ -1,0 +1,204 @@
+"""What a network can predict of a map: every target, by name.
+
+A target says what it is in truth, how many channels a network has for it, by which loss they are
+learned, and what a prediction keeps of them. One more is a class like those below: an entry of
+`TARGETS` in config.py, or a user's own as module:Class, in the `NetworkConfig` of the network that
+predicts it. The batch, the outputs of a network, its loss and its predictions call a target by its
+`target_name`.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.grid import GridSpec
+from scenegen.base.errors import DatasetError, ScenegenError, raised_as, short, told
+from scenegen.draw.sample import Sample
+from scenegen.model.config import TARGETS, is_own, named, target_name
+from scenegen.model.inputs import turned
+from scenegen.truth import distance_field
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Terms = Mapping[str, "Tensor"]
+"""Scalars of a loss, by name."""
+
+
+class Target:
+    """Something that a network predicts of every voxel. A user's own is a subclass with a `truth`
+    and a `loss`."""
+
+    channels: int | Callable[[Mapping[str, Any]], int | Sequence[str]] = 1
+    """Values a voxel that the network gives. Or a method: the settings of a dataset's parts (such
+    as its ``labels``) -> this number, or a name for each, which all datasets must agree on."""
+    part = ""
+    """The array of a prediction that holds it, where that is not called like the target."""
+    meaning = "finite numbers"
+    """What a prediction holds in every voxel, for errors."""
+    least = -np.inf
+    """The least value of a prediction."""
+    most = np.inf
+    """The greatest value of a prediction."""
+
+    @abstractmethod
+    def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+        """The true map, (*grid.shape) or (channels, *grid.shape), of a type that torch has."""
+
+    def turned(self, truth: NDArray[Any], symmetry: int) -> NDArray[Any]:
+        """`truth` as it is where the map is turned, see `scenegen.model.inputs.turned`. Vectors
+        have to turn, too."""
+        return turned(truth, symmetry)
+
+    def output(self, values: "Tensor") -> "Tensor":
+        """What a head gives, (B, *grid.shape) or (B, channels, *grid.shape), made an output: the
+        activation."""
+        return values
+
+    @abstractmethod
+    def loss(
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
+    ) -> "Tensor | tuple[Tensor, Terms]":
+        """What is added to the loss of a batch, a scalar; and its terms, where it has several.
+
+        Args:
+            output: The network's, as the method `output` made it.
+            batch: The inputs and the truth by name; of maps of real places, `known`, too.
+            objective: A `scenegen.model.losses.Coupled`; it has the `config`, the `grid`, and
+                `mean(values, over)`.
+        """
+
+    def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
+        """What a prediction keeps of an output, (B, *grid.shape) or (B, channels, *grid.shape)."""
+        return output
+
+
+class Occupancy(Target):
+    """Whether a voxel is occupied; outputs are logits."""
+
+    part, meaning, least, most = "occupancy_probability", "a probability from 0 to 1", 0.0, 1.0
+
+    def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+        """Bool."""
+        return sample.occupancy
+
+    def loss(
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
+    ) -> "tuple[Tensor, Terms]":
+        """Eq. 8 and the Lovász hinge, weighted."""
+        config, truth = objective.config, (batch["occupancy"], batch.get("known"))
+        terms = {"occupancy": objective.occupancy_loss(output, *truth)}
+        total = terms["occupancy"]
+        if config.lovasz:
+            terms["lovasz"] = objective.lovasz_loss(output, *truth)
+            total = total + config.lovasz * terms["lovasz"]
+        return config.occupancy * total, terms
+
+    def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
+        """The probability."""
+        return output.sigmoid()
+
+
+class Tudf(Target):
+    """The distance to the nearest occupied voxel's centre, metres."""
+
+    part, meaning, least = "tudf", "a distance of at least 0", 0.0
+
+    def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+        """Float32, truncated."""
+        # of these voxels, so that of a dataset that stores distances no more is read
+        return distance_field(sample.occupancy, grid)
+
+    def output(self, values: "Tensor") -> "Tensor":
+        """Not negative, not truncated."""
+        from torch.nn.functional import softplus
+
+        return softplus(values)
+
+    def loss(
+        self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
+    ) -> "tuple[Tensor, Terms]":
+        """Eq. 9 and 10, weighted."""
+        config, truth = objective.config, (batch["tudf"], batch.get("certain"))
+        terms = {"regression": objective.regression_loss(output, *truth)}
+        total = terms["regression"]
+        if config.eikonal:  # a tenth of a step's time
+            terms["eikonal"] = objective.eikonal_loss(output, *truth)
+            total = total + config.eikonal * terms["eikonal"]
+        return config.tudf * total, terms
+
+    def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
+        """Truncated."""
+        return output.clamp(max=grid.truncation_m)
+
+
+@cache
+def target_called(name: str) -> Target:
+    """The target called `name`; a user's own class is imported now.
+
+    Raises ScenegenError for a name that leads to none.
+    """
+    kind = named(TARGETS, name)
+    with raised_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
+        target: Target = kind()
+    if not isinstance(target, Target):
+        raise ScenegenError(f"target {name}: expected a subclass of scenegen.model.targets.Target")
+    return target
+
+
+def targets_of(names: Iterable[str]) -> dict[str, Target]:
+    """The targets called `names`, those that come with scenegen or module:Class, by their
+    `target_name`: occupancy first, then distances."""
+    targets = {target_name(name): target_called(name) for name in names}
+    return {name: targets[name] for name in (*BUILT_IN, *targets) if name in targets}
+
+
+def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+    """The truth of the target called `name`; what a user's own gives is checked.
+
+    Raises DatasetError where that is no map.
+    """
+    target = target_called(name)
+    if not is_own(name):
+        return target.truth(sample, grid)
+    try:
+        truth = np.asarray(target.truth(sample, grid))
+    except Exception as error:  # a loader process hands over no traceback
+        raise told(error) from None
+    if truth.shape[-3:] != grid.shape or truth.ndim > 4 or truth.dtype.kind not in "fiub":
+        raise DatasetError(
+            f"target {name}: gives an array of {truth.dtype} of shape {truth.shape}, expected "
+            f"numbers of shape {grid.shape}"
+        )
+    return truth
+
+
+def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
+    """How many channels the target called `name` has, of datasets with the settings `parts` of
+    samples' parts. Raises DatasetError where they do not agree, or lack what it needs."""
+    channels = target_called(name).channels
+    if not callable(channels):
+        return channels
+    try:
+        first, *others = [channels(settings) for settings in parts]
+    except Exception as error:
+        line = f"{type(error).__name__}: {short(str(error))}"
+        raise DatasetError(
+            f"target {name}: finds no number of channels in the dataset's parts ({line}); is it "
+            "one with --labels?"
+        ) from None
+    if any(other != first for other in others):
+        raise DatasetError(
+            f"target {name}: datasets differ in its channels, {short(first)} and "
+            f"{short(next(other for other in others if other != first))}; train on datasets that "
+            "share them"
+        )
+    return first if isinstance(first, int) else len(first)
+
+
+BUILT_IN: dict[str, Target] = {"occupancy": Occupancy(), "tudf": Tudf()}
+"""Occupancy and distances: those that every batch has the truth of, and every metric is of."""

@@ -1,0 +1,329 @@
+"""`scenegen bench`, `export` and `calibrate`: what methods are worth, and networks as ONNX and with
+known doubts; and the option --weights of every command, which names networks."""
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+from click.shell_completion import CompletionItem
+
+from scenegen.base.executors import Executor
+from scenegen.base.files import Json, check_ours, write_result
+from scenegen.base.limits import MOST_SAMPLES
+from scenegen.cli.options import (
+    command,
+    datasets_argument,
+    executing,
+    find_datasets,
+    group,
+    options_of,
+    out_option,
+    printing,
+    split_option,
+    taken,
+    together,
+)
+from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_columns
+from scenegen.cli.types import FILE, Named
+from scenegen.model.config import (
+    DEFAULT_NETWORK,
+    METHODS,
+    USUAL,
+    BenchConfig,
+    PlanConfig,
+    bundled,
+    split_name,
+    split_own,
+    unknown_network,
+)
+
+if TYPE_CHECKING:
+    from scenegen.dataset.read import AnyDataset
+    from scenegen.view.look import Guesses
+
+
+class Weights(click.ParamType):
+    """A bundled network's name, a file, a run's folder, or hf://user/name[@revision]; of one's own
+    code, after its module:Class and @."""
+
+    name = "weights"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name as it is, if it can be one: a typo is told before torch is loaded.
+        `Completer.from_pretrained` looks up what it leads to."""
+        word = split_own(value)[1]
+        path = Path(word)
+        if not (word in bundled() or path.suffix or path.exists() or "/" in word):
+            self.fail(unknown_network(word), param, ctx)
+        return str(value)
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Bundled networks that begin with what is typed, or else files."""
+        items = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
+        return items or [CompletionItem(incomplete, type="file")]
+
+
+class NamedWeights(Weights):
+    """The network of a row, which NAME= before it names."""
+
+    name = "[name=]weights"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name as it is, see `Weights.convert`."""
+        super().convert(split_name(str(value))[1], param, ctx)
+        return str(value)
+
+
+MAX_TRIAL = 10_000
+
+shown_options = together(
+    click.option(
+        "--predictions",
+        type=FILE,
+        help="Predictions of the split, as `complete` writes, or one HDF5 file of them: shown "
+        "beside the truth.",
+    ),
+    click.option(
+        "--weights",
+        type=NamedWeights(),
+        multiple=True,
+        help="A network that completes what is shown, as for `complete`, with a name of your own "
+        "as NAME=WEIGHTS; repeatable.",
+    ),
+    click.option(
+        "--trial",
+        type=click.IntRange(0, MAX_TRIAL),
+        default=0,
+        help="Which of the bench's goals in the sample paths lead to.",
+    ),
+    click.option("--no-paths", is_flag=True, help="Plan no paths on what is predicted."),
+    group("Predictions", "predictions weights trial no-paths"),
+)
+"""The options of `chosen`, by its parameters' names."""
+
+
+def chosen(
+    dataset: "AnyDataset",
+    split: str,
+    predictions: Path | None,
+    weights: Sequence[str],
+    trial: int,
+    no_paths: bool,
+) -> "tuple[Guesses | None, tuple[str, ...]]":
+    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for
+    predictions that do not fit `split`, and for networks that are not there."""
+    if not weights and predictions is None:
+        return None, ()
+    from scenegen.model.bench.methods import check_rows, rows_of
+    from scenegen.model.bench.shown import guesses
+    from scenegen.model.config import BenchConfig
+
+    methods = rows_of((), weights, predictions)
+    check_rows(methods, [dataset], split)
+    names = tuple(method.name for method in methods)
+    return partial(guesses, methods, BenchConfig(), None if no_paths else trial), names
+
+
+REPORTS = ("report.json", "report.md", "report.html")
+QUICK = {"samples": 50, "trials": 200}
+"""What `--quick` measures of every dataset."""
+
+
+@command(
+    "bench data/pillar --quick",
+    "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
+    "bench data/pillar --method my_methods:Grown --method extrude",
+)
+@datasets_argument
+@click.option(
+    "--method",
+    "names",
+    type=Named(METHODS),
+    multiple=True,
+    help=f"A row: {', '.join(METHODS.builtin)}, or MODULE:CLASS; repeatable.  [default: all of "
+    f"these but seen]",
+)
+@click.option(
+    "--weights",
+    type=NamedWeights(),
+    multiple=True,
+    help="A network's row: a bundled name, a file, a run's folder, hf://…; NAME=WEIGHTS names the "
+    "row.",
+)
+@click.option(
+    "--predictions",
+    type=FILE,
+    help="Somebody's predictions, an HDF5 file or a folder of them: one more row.",
+)
+@out_option("Folder of the report.", default=Path("bench"))
+@options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
+@click.option(
+    "--quick", is_flag=True, help="A tenth of the samples and trials: two minutes at most."
+)
+@options_of(
+    BenchConfig,
+    reliability="Also measure how reliable probabilities are. See docs/metrics.md.",
+    seed="Decides the goals.",
+)
+@options_of(
+    PlanConfig,
+    planner="The paper's, or one that weighs ways by their risk. See docs/planning.md.",
+    edge_check="Let A* ask that the way between two nodes be free, too.",
+    field="What paths are refined on: predicted distances, or the transform of the occupancy.",
+    clearance_weight="λ_c, of clearance against smoothness.",
+)
+@executing
+@printing
+@group("Rows", "method weights predictions")
+@group("Planning", "planner edge-check field clearance-weight")
+def bench(
+    datasets: tuple[Path | str, ...],
+    names: tuple[str, ...],
+    weights: tuple[str, ...],
+    predictions: Path | None,
+    out: Path,
+    quick: bool,
+    execute: Executor,
+    tell: Tell,
+    talk: bool,
+    **options: Any,
+) -> None:
+    """Score completion methods on reconstruction and planning: the paper's two tables, and more in
+    the report."""
+    from scenegen.base.executors import commit
+    from scenegen.model.bench.methods import rows_of
+    from scenegen.model.bench.report import build_report, to_html, to_markdown
+    from scenegen.model.bench.run import bench_all
+    from scenegen.model.bench.shown import draw_charts, draw_failures
+
+    if talk:
+        announce_compilation()
+    measured = find_datasets(datasets, shown=talk)
+    for name in REPORTS:
+        check_ours(out / name)
+    methods = rows_of(names or USUAL, weights, predictions)
+    plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
+    config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
+    for dataset, method in product(measured if talk else (), methods):
+        for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
+            note(f"note: {dataset.name}: {warning}")
+    with Progress("bench", shown=talk) as progress:
+        results = bench_all(
+            measured,
+            methods,
+            config,
+            execute=execute,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
+    command = shlex.join(["scenegen", *sys.argv[1:]])
+    facts = {"command": command, "commit": commit(), "split": config.split}
+    report = build_report(results, seed=config.seed, about=facts)
+    write_result(
+        out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
+    )
+    write_result(out / "report.md", to_markdown(report).encode())
+    pictures: dict[str, list[tuple[str, bytes]]] = {}
+    with suppress(ImportError):  # the report does without matplotlib
+        for result in results:
+            pictures[result.kind] = draw_charts(report, result.kind) + draw_failures(
+                result, methods
+            )
+    write_result(out / "report.html", to_html(report, pictures).encode())
+    if tell(report):
+        show_tables(report)
+        say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
+
+
+def show_tables(report: Json) -> None:
+    """Both tables: means, at the paper's thresholds."""
+    from scenegen.model.bench.report import notes, tables, trial_counts
+    from scenegen.model.bench.statistics import threshold
+
+    for kind, about in report["datasets"].items():
+        for table, names, rows, _ in tables(report, kind):
+            cells = {
+                method: [
+                    f"{row[name]['mean']:.3f}{threshold(row[name])}" if row[name]["n"] else "–"
+                    for name in names
+                ]
+                for method, row in rows.items()
+            }
+            show_columns(cells, list(names), f"{kind}, {table}")
+        say(f"{kind}: {trial_counts(about)}")
+        for line in notes(about):
+            say(f"note: {kind}: {line}")
+
+
+@command("export", "export runs/mine -o mine.onnx")
+@click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
+@out_option("File to write.  [default: <name>.onnx]", ".onnx")
+def export(weights: str, out: Path | None) -> None:
+    """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
+    from scenegen.model.completion.completer import open_network
+    from scenegen.model.onnx import export_onnx
+
+    network, grid, about = open_network(weights)
+    out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
+    export_onnx(network, grid, out, about=about)
+    say(f"written: {out}")
+
+
+@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine")
+@click.argument("weights", type=Weights())
+@datasets_argument
+@split_option("val", help="The split whose worlds are looked at; one that no training saw.")
+@click.option(
+    "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
+)
+@out_option(
+    "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
+    file=True,
+)
+@executing
+@printing
+def calibrate(
+    weights: str,
+    datasets: tuple[Path | str, ...],
+    out: Path | None,
+    tell: Tell,
+    talk: bool,
+    **options: Any,
+) -> None:
+    """Calibrate a network's probabilities; the calibration is kept in its file."""
+    from scenegen.base.files import check_ours, make_parent
+    from scenegen.model.bench.calibrate import calibrate as fit
+    from scenegen.model.checkpoint import CheckpointError
+    from scenegen.model.completion.completer import HUB, called, locate
+    from scenegen.model.config import bundled
+
+    path = locate(weights)
+    if path.suffix == ".onnx":
+        raise CheckpointError(
+            f"{path}: an exported network; calibrate its .safetensors file, then export that again"
+        )
+    plain = split_own(weights)[1]
+    elsewhere = plain in bundled() or plain.startswith(HUB)
+    if out is None and elsewhere:
+        out = Path(f"{called(weights, path)}.safetensors")
+        check_ours(out)
+    out = out or path
+    make_parent(out)
+    if talk:
+        announce_compilation()
+    folders = find_datasets(datasets, shown=talk)
+    with Progress("calibrate", shown=talk) as progress:
+        found = fit(
+            weights, folders, out, **options, on_start=progress.start, on_done=progress.count
+        )
+    if tell(asdict(found)):
+        say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
+        say(f"written: {out}")

@@ -1,0 +1,222 @@
+"""`scenegen verify` and `publish`: a dataset held against the format, and its folder for the Hub of
+Hugging Face."""
+
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from scenegen.base.errors import ScenegenError, UndecidedError
+from scenegen.cli.options import (
+    command,
+    dataset_argument,
+    executing,
+    group,
+    kind_option,
+    out_option,
+    printing,
+    seed_option,
+)
+from scenegen.cli.show import (
+    Progress,
+    Tell,
+    announce_compilation,
+    note,
+    say,
+    seconds_taken,
+    show_table,
+)
+from scenegen.publish import USUAL
+
+if TYPE_CHECKING:
+    from scenegen.publish.stage import Staged
+    from scenegen.verification import Report
+
+
+@command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
+@dataset_argument
+@click.option(
+    "--quick", is_flag=True, help="Only fast checks: files, digests, numbers, laws, splits."
+)
+@seed_option("Seed of the samples that are checked more closely.")
+@kind_option
+@click.option(
+    "--check",
+    "own",
+    multiple=True,
+    metavar="MODULE:OBJECT",
+    help="Also run a check of your own; repeatable.",
+)
+@executing
+@printing
+def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
+    """Check a dataset against the format: files, digests, truth, rays, splits.
+
+    Exit code 1: a check failed. Exit code 3: no check failed, but flights differ, since other
+    versions of software made them.
+
+    \f
+    Raises:
+        ScenegenError: A check failed.
+        UndecidedError: Other versions of software made the flights.
+    """
+    if talk:
+        announce_compilation()
+    from scenegen.verification import verify as prove
+
+    begin = time.perf_counter()
+    with Progress("verify", shown=talk) as progress:
+        report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
+    seconds = time.perf_counter() - begin
+    if tell({**report.to_json(), "seconds": seconds}):
+        _show_checks(report, seconds)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
+            f"{', '.join(report.failed)}"
+        )
+    if report.differing:
+        first = next(check for check in report.checks if check.differing)
+        raise UndecidedError(
+            f"verify: no check failed, and {', '.join(report.differing)} cannot tell: "
+            f"{first.detail}; verify with the versions that dataset.json names under software"
+        )
+
+
+def _show_checks(report: "Report", seconds: float) -> None:
+    """Print a line for each check, and a summary."""
+    rows, marks = {}, {}
+    for check in report.checks:
+        if not check.ok:
+            marks[check.name] = "FAILED ", "red"
+        elif check.differing:
+            marks[check.name] = "differs", "yellow"
+        else:
+            marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
+        rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
+    show_table(rows, marks=marks)
+    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    if report.ok:
+        skipped = sum(check.skipped for check in report.checks)
+        differing = len(report.differing)
+        passed = len(report.checks) - skipped - differing
+        counts = {"differ": differing, "skipped": skipped}
+        parts = [f"{count} {name}" for name, count in counts.items() if count]
+        say(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")
+
+
+@command(
+    "publish data/pillar --repo user/pillar --dry-run",
+    "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
+)
+@dataset_argument
+@click.option(
+    "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
+)
+@click.option("--tag", help="Name of the revision.  [default: by the content]")
+@click.option(
+    "--licence",
+    "--license",
+    default=USUAL,
+    help="SPDX name of the data's licence.",
+)
+@out_option("The folder to make.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make a new repository private.")
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Make the folder and list the files to upload, without contacting the Hub.",
+)
+@click.option("--quick", is_flag=True, help="Run only fast checks: files, digests, numbers, laws.")
+@kind_option
+@executing
+@printing
+@group("On the Hub", "repo tag licence private")
+def publish(
+    dataset: Path | str,
+    repo: str,
+    tag: str | None,
+    licence: str,
+    out: Path | None,
+    kind: str | None,
+    tell: Tell,
+    talk: bool,
+    **options: Any,
+) -> None:
+    """Verify a dataset, make a folder of it, and send that to the Hugging Face Hub.
+
+    The same command continues a stopped run. The token is that of `hf auth login`, or HF_TOKEN.
+
+    \f
+    Raises:
+        DatasetError: The dataset is damaged.
+        PublishError: A check fails, or the Hub refuses.
+    """
+    if talk:
+        announce_compilation()
+    from scenegen.base.executors import check_together
+    from scenegen.base.paths import check_type
+    from scenegen.dataset.locate import locate
+    from scenegen.publish.stage import Request
+    from scenegen.publish.upload import publish as run_publish
+
+    check_type(dataset, "dataset")  # selections and collections have no folder to publish
+    check_together(options["execute"], "publish takes")
+    request = Request(
+        dataset=locate(dataset, shown=talk, whole=True),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=tag,
+        licence=licence,
+        kind=kind,
+    )
+    with Progress("verify", shown=talk) as progress:
+
+        def report(staged: Any) -> None:
+            progress.stop()  # the Hub's client has its own bar
+            if talk:
+                next_step = (
+                    "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
+                )
+                note(f"Wrote {staged.folder}. {next_step}")
+
+        staged, commit = run_publish(
+            request,
+            shown=talk,
+            on_start=progress.start,
+            on_done=progress.count,
+            on_staged=report,
+            **options,
+        )
+    size, seconds = sum(staged.files.values()), seconds_taken()
+    sent = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
+    if tell(vars(staged) | sent):
+        _show_staged(staged, commit, size, seconds)
+
+
+def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
+    """Print the folder and what was sent; after a dry run, the files to send."""
+    from scenegen.dataset.schema import pattern_of
+    from scenegen.publish.upload import IN_COMMIT
+
+    rows = {
+        "folder": staged.folder,
+        "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+        "commits": f"at most {-(-len(staged.files) // IN_COMMIT)}",
+        "revision": f"hf://{staged.repository}@{staged.tag}",
+        "time": f"{seconds:.1f} s",
+    }
+    if commit is None:
+        # one line for all shards of a split, of which there may be thousands
+        listed = Counter[str]()
+        for name, size in staged.files.items():
+            listed[pattern_of(name)] += size
+        show_table(
+            {name: f"{size:>15,}" for name, size in listed.items()}, "would be uploaded, in bytes"
+        )
+        show_table(rows | {"next": "the same command without --dry-run"}, "ready")
+    else:
+        rows["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(rows, "published")

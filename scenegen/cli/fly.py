@@ -1,0 +1,439 @@
+"""`scenegen fly`: flies a robot to goals in closed loop, through a world or a suite's courses.
+Replays and ranks recordings of flights.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from lidarsim.registry import Registry
+from scenegen.base.errors import ScenegenError
+from scenegen.base.executors import Executor, check_together
+from scenegen.base.files import check_free, write_result
+from scenegen.cli.bench import Weights
+from scenegen.cli.options import (
+    WORLD,
+    command,
+    difficulty_option,
+    executing,
+    group,
+    lidar_option,
+    noise_option,
+    options_of,
+    out_option,
+    printing,
+    quiet_option,
+    seed_option,
+    taken,
+    together,
+    was_given,
+)
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
+from scenegen.cli.types import FILE, Choice, Named, OutputFile
+from scenegen.fly import SUITES, Rules, Vehicle
+from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
+
+if TYPE_CHECKING:
+    from scenegen.fly.course import Course, Flights
+    from scenegen.fly.loop import Flown
+
+
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+"""Type of a folder to read."""
+MAX_FLIGHTS = 10_000
+"""Maximum of --flights and of --worlds."""
+
+robot_options = together(
+    click.option(
+        "--robot",
+        type=Named(Registry("robot", dict.fromkeys(NAMES, "")), paths=True),
+        default="optimistic",
+        help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; or your own as MODULE:CLASS "
+        "or a command in quotes, which run in another process.",
+    ),
+    click.option(
+        "--weights",
+        type=Weights(),
+        help="Network that completes the robot's map, or with --robot returns the last scan.",
+    ),
+)
+picture_options = together(
+    click.option(
+        "--picture",
+        type=OutputFile(".png"),
+        help="A picture (.png) of the first world and the paths through it.",
+    ),
+    click.option(
+        "--film",
+        type=OutputFile(".html"),
+        help="A page (.html) that plays the first flight, with the robot's map.",
+    ),
+    click.option(
+        "--log",
+        type=click.Path(path_type=Path),
+        help="A log of the first flight, as of `scan --sequence`: a folder, or .mcap.",
+    ),
+    group("What is drawn", "picture film log"),
+    executing,
+    printing,
+)
+
+
+def track_options(hidden: str, maps: str) -> Callable[[Any], Any]:
+    """Make the options --hidden and --maps.
+
+    Args:
+        hidden: Help text of --hidden.
+        maps: Help text of --maps.
+    """
+    return together(
+        click.option("--hidden", type=click.IntRange(0), metavar="SEED", help=hidden),
+        click.option("--maps", type=FOLDER, help=maps),
+    )
+
+
+@click.group()
+def fly() -> None:
+    """Fly a robot with a LiDAR to goals in closed loop; replay and rank recordings."""
+
+
+@command(
+    "fly world pillar --weights columns --flights 20",
+    "fly world scenes/forest.xml --robot my_robot:Robot -o flights.json --picture flights.png",
+)
+@click.argument("name", metavar="WORLD", type=WORLD)
+@robot_options
+@click.option(
+    "--flights", type=click.IntRange(1, MAX_FLIGHTS), default=10, help="Number of flights."
+)
+@click.option(
+    "--worlds",
+    type=click.IntRange(1, MAX_FLIGHTS),
+    default=1,
+    help="Number of worlds of a kind, drawn by the seed and those after it. Flights are divided "
+    "among them.",
+)
+@difficulty_option
+@options_of(
+    Vehicle,
+    radius_m="Radius of the vehicle, metres.",
+    speed_mps="Maximum speed, metres a second.",
+    acceleration_mps2="Maximum acceleration, metres a second squared.",
+    dynamics="kinematic: the vehicle moves exactly within its bounds. mujoco: a quadrotor with "
+    "inertia, rotors and drag tracks that motion.",
+)
+@options_of(Rules, apart_m="Minimum distance from start to goal, metres.")
+@lidar_option("raster")
+@noise_option
+@click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
+@seed_option("Seed of the world, the goals and the noise.")
+@out_option("File for a recording of the flights, .json.")
+@picture_options
+@group("Robot", "robot weights radius speed acceleration dynamics")
+@group("Courses", "flights worlds difficulty apart moving seed")
+def world(
+    name: str,
+    flights: int,
+    worlds: int,
+    seed: int,
+    difficulty: str | None,
+    lidar: str | None,
+    noise: str | None,
+    moving: bool,
+    **options: Any,
+) -> None:
+    """Fly a robot through a world: a kind's, an MJCF file, or a map of a real place.
+
+    Ten times a second the sensor scans, and the robot decides.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such robot or world, or the world is too narrow.
+    """
+    from scenegen.fly.course import Course
+
+    # click gives the options of both dataclasses in one dictionary
+    parts: Any = (
+        kind(**{field: options.pop(field) for field in taken(kind, options)})
+        for kind in (Vehicle, Rules)
+    )
+    vehicle, rules = parts
+    # the first worlds get a flight more if the number cannot be divided
+    shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
+    courses = [
+        Course(
+            world=name,
+            seed=seed + n,
+            flights=share,
+            difficulty=difficulty,
+            lidar=lidar or "raster",
+            noise=noise or "",
+            moving=moving,
+            vehicle=vehicle,
+            rules=rules,
+        )
+        for n, share in enumerate(shares)
+        if share
+    ]
+    _fly(courses, **options)
+
+
+@command(
+    "fly suite --robot my_robot:Robot -o entry.json",
+    "fly suite --quick --weights columns -o quick.json",
+)
+@click.argument("suite", metavar="[SUITE]", type=Choice(SUITES), default=SUITES[0])
+@robot_options
+@click.option("--quick", is_flag=True, help="Every sixteenth course.")
+@track_options(
+    "Fly 50 courses that this number draws, instead of the suite's own.",
+    "Fly 24 courses through the maps of real places in this folder, instead of the suite's own.",
+)
+@out_option("The entry, .json; an unfinished one is continued.")
+@picture_options
+@group("Robot", "robot weights")
+@group("Courses", "quick hidden maps")
+def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
+    """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: There is no such robot, or a map is missing.
+    """
+    from scenegen.fly.suite import chosen_courses
+
+    track = _track(hidden, maps)
+    courses = chosen_courses(suite, hidden, maps, quick=quick)
+    _fly(courses, suite=suite, hidden=hidden, track=track, **options)
+
+
+def _track(hidden: int | None, maps: Path | None) -> str:
+    """Return the name of the track. Raises UsageError if both are given."""
+    from scenegen.fly.suite import track_name
+
+    if hidden is not None and maps:
+        raise click.UsageError("--hidden and --maps choose other courses; give one of them")
+    return track_name(hidden, maps)
+
+
+def _fly(
+    courses: "Sequence[Course]",
+    *,
+    robot: str,
+    weights: str | None,
+    out: Path | None,
+    talk: bool,
+    execute: Executor,
+    suite: str | None = None,
+    hidden: int | None = None,
+    track: str = "",
+    **drawing: Any,
+) -> None:
+    """Fly through courses, record the flights, and print and draw them."""
+    from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
+
+    name, network, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
+    # wrong robots and worlds are refused here, before any worker starts
+    first = real_course(courses[0], hidden)
+    if weights is None:  # a network's robot is scenegen's own
+        check_begins(robot, first)
+    if drawing["picture"]:
+        from scenegen.worlds.world import solid
+
+        solid(first.drawn, first.world)
+    with Progress("fly", shown=talk) as progress:
+        crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+        flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
+    crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
+    _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **drawing)
+
+
+def _begin(
+    robot: str,
+    weights: str | None,
+    hidden: int | None,
+    log: Path | None,
+    execute: Executor,
+    talk: bool,
+) -> tuple[str, str, Any]:
+    """Check the options of a robot.
+
+    Returns:
+        The robot's name, the SHA-256 of its network or "", and a function that flies it through a
+        course.
+
+    Raises:
+        UsageError: Options contradict each other.
+        ScenegenError: The log exists, or there is no such network.
+    """
+    from scenegen.dataset.locate import file_sha256
+    from scenegen.model.completion.completer import locate
+    from scenegen.model.robots.flights import fly_course
+
+    if weights is not None and was_given("robot") and robot != FORGETFUL:
+        raise click.UsageError(
+            "--weights chooses the robot; leave out --robot, or give --robot returns, which "
+            "completes only the last scan"
+        )
+    if log is not None:
+        check_free(log)
+    check_together(execute, "a row of flights takes")
+    if talk:
+        announce_compilation()
+    name, network = robot, ""
+    if weights is not None:
+        name = f"{weights}, last scan" if robot == FORGETFUL else weights
+        network = file_sha256(locate(weights))
+    work = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
+    return name, network, work
+
+
+@command("fly replay entry.json", "fly replay entry.json --robot my_robot:Robot")
+@click.argument("path", metavar="RECORDING", type=FILE)
+@robot_options
+@track_options("Number of an entry's hidden track.", "Folder of an entry's maps.")
+@picture_options
+@group("Robot", "robot weights")
+@group("Courses", "hidden maps")
+def replay(
+    path: Path,
+    robot: str,
+    weights: str | None,
+    hidden: int | None,
+    maps: Path | None,
+    talk: bool,
+    execute: Executor,
+    **drawing: Any,
+) -> None:
+    """Fly a recording's commands again, and compare every bit and figure.
+
+    With --robot or --weights, also let that robot fly every sixteenth course anew; exit code 1 if
+    its flights differ from the recording.
+
+    \f
+    Raises:
+        UsageError: Options contradict each other.
+        DatasetError: The file is not a recording, or a flight differs from it.
+        ScenegenError: The robot flies differently.
+    """
+    from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
+
+    track = _track(hidden, maps)
+    pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
+    recording, notes = open_recording(path, track, maps)
+    name, differing, filmed = recording.robot, list["Flown"](), None
+    with Progress("replay", shown=talk) as progress:
+        crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
+        flown = fly_again(path, recording, hidden, crew)
+        notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
+        # only a robot that the user names: the default one may not be that of the recording
+        if weights is not None or was_given("robot"):
+            filmed = robot, weights
+            count, differing = fly_anew(recording, work, crew)
+            notes[ANEW] = f"{count - len(differing)} of {count} flights"
+    crew = crew_of(execute)
+    _show(flown, name, filmed, notes, differing, hidden=hidden, crew=crew, files=[], **drawing)
+    if differing:
+        raise ScenegenError(
+            f"{path}: {pilot} flew {notes[ANEW]} as they are recorded; the recording is of robot "
+            f"{name}"
+        )
+
+
+@command("fly rank entries -o page.html")
+@click.argument("entries", type=FOLDER)
+@out_option("The page.", ".html", required=True)
+@quiet_option
+def rank(entries: Path, out: Path, quiet: bool) -> None:
+    """Write a page that ranks the entries to a suite in a folder.
+
+    \f
+    Raises:
+        ScenegenError: The folder has no entries.
+        DatasetError: A file is not an entry.
+    """
+    from scenegen.model.robots.board import leaderboard
+
+    write_result(out, leaderboard(entries).encode())
+    if not quiet:
+        say(f"written: {out}")
+
+
+for subcommand in (world, suite, replay, rank):
+    fly.add_command(subcommand)
+
+
+def _show(
+    flown: "Flights",
+    name: str,
+    filmed: tuple[str, str | None] | None,
+    notes: Mapping[str, str] = MappingProxyType({}),
+    differing: "Sequence[Flown]" = (),
+    *,
+    hidden: int | None,
+    crew: Callable[..., Any],
+    tell: Tell,
+    files: Sequence[Path | None],
+    picture: Path | None,
+    film: Path | None,
+    log: Path | None,
+) -> None:
+    """Draw the flights of the first course, and print figures of all.
+
+    Args:
+        flown: All flights.
+        name: Name of the robot.
+        filmed: The robot, named as for `robot_maker`, whose map the film shows; None: no map.
+        notes: Further lines of the table.
+        differing: Flights that differ from recorded ones; errors of the robot are printed.
+        hidden: Number of the hidden track, or None.
+        crew: Runs work on the cores, for the difficulties of the courses.
+        tell: Prints the result as JSON if the user wants that.
+        files: Files written so far.
+        picture: File of the picture, or None.
+        film: File of the film, or None.
+        log: File or folder of the log, or None.
+    """
+    from scenegen.model.robots.flights import real_course, robot_maker, rows_of, summary
+
+    (first, ways), *_ = flown
+    # recordings hide the seeds of a hidden track; drawing needs them
+    course = real_course(first, hidden)
+    if picture is not None:
+        from scenegen.view.canvas import VIEW
+        from scenegen.view.panels import RED, to_bytes
+        from scenegen.view.pictures import draw_world
+        from scenegen.worlds.world import solid
+
+        figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
+        for flight in ways:
+            colour = "#1d7a2f" if flight.outcome == "success" else RED
+            figure.axes[0].plot(*VIEW.project(flight.path).T, color=colour, zorder=6)
+        write_result(picture, to_bytes(figure, ".png"))
+    if film is not None:
+        from scenegen.model.robots.film import flight_page
+
+        robot = None if filmed is None else robot_maker(*filmed)(course)
+        try:
+            write_result(film, flight_page(name, course, 0, robot, ways[0]))
+        finally:
+            getattr(robot, "close", lambda: None)()  # a robot of another process has one
+    if log is not None:
+        from scenegen.fly.course import log_of
+        from scenegen.logs.record import write_log
+
+        write_log(log, log_of(course, 0, ways[0]))
+    flights = [flight for _, several in flown for flight in several]
+    row = {**summary(name, flights), **notes}
+    if tell(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
+        show_table(row)
+        for trouble in sorted({flight.trouble for flight in [*flights, *differing]} - {""}):
+            say(f"robot: {trouble}")
+        for path in filter(None, (*files, picture, film, log)):
+            say(f"written: {path}")

@@ -1,0 +1,377 @@
+"""Where worlds come from: drawn by a recipe, or read from files.
+
+A source maps a unit (one flight and its samples) to the world that it flies through.
+"""
+
+import functools
+import itertools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.random import Generator
+
+from scenegen import SPLITS
+from scenegen.base.errors import BrokenError, RecipeError, SceneError, plural, printable, raised_as
+from scenegen.base.files import Json, real_path
+from scenegen.base.limits import (
+    MOST_ARCHIVE_BYTES,
+    MOST_GEOMS,
+    MOST_MEMBERS,
+    SCENE_BYTES,
+    SCENE_SECONDS,
+)
+from scenegen.base.paths import CLOUDS, MAPS, MESHES
+from scenegen.base.reading import world_digest
+from scenegen.base.workers import Limited, run
+from scenegen.worlds.classes import By
+from scenegen.worlds.labels import class_names
+from scenegen.worlds.mapping import Known
+from scenegen.worlds.recipe import Acceptance, Recipe, preset
+from scenegen.worlds.scene import Reading, Scene, named, read_file
+from scenegen.worlds.world import AnyWorld, World, archived_world, solid, write_world
+
+SHARES = {"train": 10, "val": 1, "test": 2}
+"""Relative numbers of worlds of each split, when the worlds of a folder are divided."""
+
+
+class Source(Protocol):
+    """Worlds by number. Sources are small and can be pickled, as they are sent to worker processes
+    and clusters."""
+
+    def number(self, split: str, unit: int) -> tuple[int, int]:
+        """Find the world of a unit.
+
+        Args:
+            split: Name of the split.
+            unit: Number of the unit in its split.
+
+        Returns:
+            Number of the world in its split, and how many earlier units of the split visit it.
+        """
+        ...
+
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
+        """Make or read a world.
+
+        Args:
+            split: Name of the split.
+            number: Number of the world in its split.
+            rng: Random numbers that the world is drawn by, if it is drawn.
+        """
+        ...
+
+    def describe(self) -> Json:
+        """Identify the source in the manifest; {} if the recipe says all."""
+        return {}
+
+
+@dataclass(frozen=True)
+class DrawnWorlds(Source):
+    """A new world for every unit, drawn by the recipe's kind."""
+
+    recipe: Recipe
+
+    def number(self, split: str, unit: int) -> tuple[int, int]:
+        """Find the world of a unit; see `Source.number`.
+
+        Returns:
+            The unit's own number, and 0.
+        """
+        return unit, 0
+
+    def world(self, split: str, number: int, *, rng: Generator) -> World:
+        """Draw a world; see `Source.world`.
+
+        Raises:
+            RecipeError: if the kind draws a world that MuJoCo cannot compile.
+        """
+        kind = self.recipe.world
+        if kind is None:
+            raise RecipeError(
+                'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
+            )
+        bounds = self.recipe.flight.bounds(kind.size_m)
+        # the fault may lie in a user's own kind, and not in the values
+        advice = "correct it" if ":" in self.recipe.kind else "take values nearer to the preset's"
+        with raised_as(
+            RecipeError,
+            f"[world] of kind {self.recipe.kind!r} draws what cannot be: ",
+            f"; {advice}",
+            of=(ValueError, BrokenError, SceneError),
+        ):
+            return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
+
+    def class_names(self, by: By) -> set[str]:
+        """Classes of the worlds' geoms that the kind declares in `classes`."""
+        return set(getattr(self.recipe.world, "classes", ()))
+
+
+MAP_DRAWS = 500
+"""Default number of draws in maps. In building 079, nine of ten draws find no flight."""
+
+
+@dataclass(frozen=True)
+class SceneWorlds:
+    """Worlds from files: MJCF, meshes or maps. The units of a split visit its worlds in turn, so
+    that samples are spread evenly over them."""
+
+    scenes: Mapping[str, Sequence[Scene]]
+    """Worlds of each split."""
+    notes: tuple[str, ...] = ()
+    """Sentences about parts of files that were left out or interpreted."""
+
+    def number(self, split: str, unit: int) -> tuple[int, int]:
+        """Find the world of a unit; see `Source.number`.
+
+        Returns:
+            Number of the world, and number of the round over all worlds.
+        """
+        turn, number = divmod(unit, len(self.scenes[split]))
+        return number, turn
+
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
+        """Compile the world of a file; see `Source.world`. Nothing is drawn.
+
+        Returns:
+            The world.
+        """
+        scene = self.scenes[split][number]
+        return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
+
+    def describe(self) -> Json:
+        """Names and digests of the files, by split."""
+        return {
+            split: [
+                {"file": scene.name, "sha256": world_digest(scene.mjcf, scene.assets).hex()}
+                for scene in scenes
+            ]
+            for split, scenes in self.scenes.items()
+            if scenes
+        }
+
+    def class_names(self, by: By) -> set[str]:
+        """Classes of the worlds' geoms."""
+        rng = np.random.default_rng(0)
+        worlds = (
+            self.world(split, n, rng=rng)
+            for split, scenes in self.scenes.items()
+            for n in range(len(scenes))
+        )
+        return {
+            name
+            for world in worlds
+            for name in class_names(solid(world, "--labels: one of the worlds").model, by)
+        }
+
+    @property
+    def maps(self) -> list[str]:
+        """Names of the worlds that are maps of real places."""
+        return [scene.name for scenes in self.scenes.values() for scene in scenes if scene.is_map]
+
+    def suited(self, recipe: Recipe) -> Recipe:
+        """Adapt a recipe to maps: set `known`, and allow more draws than usual, since many flights
+        end at unknown space."""
+        if not self.maps:
+            return recipe
+        recipe = replace(recipe, known=recipe.known or Known())
+        if recipe.accept.max_draws == Acceptance.max_draws:
+            accept = replace(recipe.accept, max_draws=MAP_DRAWS)
+            with suppress(ValueError):  # beyond MOST_SEARCHED: keep the recipe's draws
+                return replace(recipe, accept=accept)
+        return recipe
+
+
+def read_world(path: str | Path, tell: Callable[[str], None] | None = None) -> AnyWorld:
+    """Read a world from an MJCF file, a mesh, or a map of a real place.
+
+    Args:
+        path: The file.
+        tell: Called with each note about the file.
+
+    Raises:
+        SceneError: if the file cannot be used.
+    """
+    if Path(path).is_dir():
+        raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
+    source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
+    if tell:
+        for line in source.notes:
+            tell(line)
+    return source.world("train", 0, rng=np.random.default_rng(0))
+
+
+def named_world(
+    name: str,
+    seed: int,
+    difficulty: str | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> AnyWorld:
+    """Read a world from a file, or draw one of a kind.
+
+    Args:
+        name: Path of a file, or name of a kind.
+        seed: Seed of a drawn world.
+        difficulty: "easy", "medium" or "hard".
+        tell: Called with each note about a file.
+
+    Raises:
+        SceneError: if the file cannot be used.
+        RecipeError: if there is no such kind.
+    """
+    if Path(name).exists() or (":" not in name and not name.isidentifier()):
+        return read_world(name, tell)
+    drawn = DrawnWorlds(preset(name, difficulty=difficulty))
+    return drawn.world("train", 0, rng=np.random.default_rng(seed))
+
+
+@functools.lru_cache(maxsize=8)  # the units of a split return to the same worlds
+def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> AnyWorld:
+    return archived_world(mjcf, dict(assets), name=name)
+
+
+def read_scenes(
+    path: Path,
+    counts: Mapping[str, int | None],
+    *,
+    seed: int,
+    allow_unseen: bool = False,
+    materials: bool = False,
+) -> SceneWorlds:
+    """Read worlds from files, and divide them among the splits by `SHARES`.
+
+    The division depends only on the names of the files, the seed, and which splits are not empty.
+    It does not depend on the number of samples.
+
+    Args:
+        path: An MJCF file, a mesh, a map of a real place, a folder of these, or a point cloud.
+        counts: Number of samples of each split; None for a default if there are several worlds.
+        seed: Seed of the division.
+        allow_unseen: Whether worlds may have geoms that rays cannot see.
+        materials: Whether worlds keep the names of their materials.
+
+    Raises:
+        SceneError: if a file cannot be used, two are the same world, or there are fewer worlds than
+            splits.
+    """
+    if not path.exists():
+        raise SceneError(f"{path}: no such file or folder; expected MJCF, or a map")
+    # sorted: the division must not depend on the order of the file system
+    files = sorted(world_files(path)) if path.is_dir() else [path]
+    scenes, part_files = _read_files(files, materials)
+    if not scenes:
+        raise SceneError(
+            f"{path}: holds no world, or parts alone, which other files include; expected MJCF, "
+            "meshes or maps (scenegen map makes one of point clouds)"
+        )
+    _check(scenes, allow_unseen)
+    notes = (
+        [f"{path}: {named(part_files)} left out: parts, which other files include"]
+        if part_files
+        else []
+    )
+    notes += [note for scene in scenes.values() for note in scene.notes]
+    several = len(scenes) > 1
+    splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
+    if len(scenes) < len(splits):
+        raise SceneError(
+            f"{path}: {plural(len(scenes), 'worlds')} for {len(splits)} splits, and no two splits "
+            "share one; add worlds, or set --val and --test to 0 and measure on the training "
+            "samples (bench --split train)"
+        )
+    order = np.random.default_rng(seed).permutation(len(scenes)).tolist()
+    total_share = sum(SHARES[split] for split in splits)
+    sizes = {split: max(1, len(scenes) * SHARES[split] // total_share) for split in splits}
+    # the first split gets the rest of the rounding
+    sizes[splits[0]] = len(scenes) - sum(sizes[split] for split in splits[1:])
+    by_number = list(scenes.values())
+    shuffled = iter([by_number[number] for number in order])
+    worlds = {split: tuple(itertools.islice(shuffled, sizes.get(split, 0))) for split in SPLITS}
+    return SceneWorlds(worlds, tuple(notes))
+
+
+def world_files(folder: Path) -> list[Path]:
+    """Files in a folder that may be worlds: MJCF and maps. Meshes count only where there is no MJCF
+    file, which might refer to them. Point clouds do not count: several may show one place."""
+    files = list(folder.iterdir())
+    mjcf = [path for path in files if path.suffix == ".xml"]
+    endings = MAPS if mjcf else (*MAPS, *MESHES)
+    return mjcf + [path for path in files if path.suffix in endings]
+
+
+def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scene], list[str]]:
+    """Read worlds. Returns them by path, and the names of files that other files include.
+
+    MJCF and meshes are read in a separate process with limits on time and memory. It costs about a
+    second, as kernels are loaded twice. Maps and clouds are read in this process by code with its
+    own bounds.
+    """
+    read = Limited(
+        functools.partial(_read_alone, materials=materials),
+        lambda _: SCENE_SECONDS,
+        SCENE_BYTES,
+        _given_up,
+    )
+    maps = [path for path in files if path.suffix in (*MAPS, *CLOUDS)]
+    readings = [read_file(path) for path in maps]
+    readings += run(read, [path for path in files if path not in maps], 1)
+    # as if read one by one: the first fault by name is reported
+    readings.sort(key=lambda reading: reading.path)
+    included = {path for reading in readings for path in reading.includes}
+    scenes, parts = dict[Path, Scene](), list[str]()
+    for reading in readings:
+        # an included file need not be a world by itself, so its faults do not count
+        if real_path(reading.path) in included or reading.outcome is None:
+            parts.append(reading.path.name)
+        elif isinstance(reading.outcome, SceneError):
+            raise reading.outcome
+        else:
+            scenes[reading.path] = reading.outcome
+    return scenes, parts
+
+
+def _read_alone(path: Path, *, materials: bool) -> Reading:
+    """Call `read_file` in the separate process. Its standard error is closed, as Qhull prints
+    there; MuJoCo's exceptions describe the fault."""
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    return read_file(path, materials=materials)
+
+
+def _given_up(path: Path, reason: str) -> Reading:
+    allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
+    fault = f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world, of "
+    fault += f"{MOST_GEOMS} geoms at most"
+    return Reading(path, SceneError(fault))
+
+
+def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
+    """Check worlds together. Raises SceneError for geoms that rays cannot see, for two files with
+    the same solids, which could end in two splits, and for more files or bytes than an archive may
+    hold."""
+    owner, files, total_bytes = dict[bytes, Path](), set[str](), 0
+    for path, scene in scenes.items():
+        if scene.unseen and not allow_unseen:
+            raise SceneError(
+                f"{path}: rays cannot see geom {printable(named(scene.unseen))} (alpha 0); give it "
+                "an alpha above 0, remove it, or pass --allow-unseen to leave it out of the truth"
+            )
+        first = owner.setdefault(scene.geometry, path)
+        if first is not path:
+            raise SceneError(
+                f"{path}: the same world as {first.name}, whatever its geoms are called; remove "
+                "one of the two"
+            )
+        total_bytes += len(scene.mjcf)
+        # worlds may share files, which an archive holds once
+        total_bytes += sum(len(scene.assets[name]) for name in scene.assets.keys() - files)
+        files |= {path.name, *scene.assets}
+        if total_bytes > MOST_ARCHIVE_BYTES or len(files) > MOST_MEMBERS:
+            raise SceneError(
+                f"{path.parent}: the worlds take more than {MOST_ARCHIVE_BYTES} bytes or "
+                f"{MOST_MEMBERS} files; use coarser meshes, or fewer worlds"
+            )

@@ -1,0 +1,361 @@
+"""Recipes: every number that determines a dataset's content, resolved, checked, and read from
+TOML."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim.noise.chain import Noise
+from lidarsim.parameters import Checked, number
+from scenegen.base.errors import RecipeError, printable, raised_as, short
+from scenegen.base.files import Json
+from scenegen.base.limits import (
+    MOST_CANDIDATES,
+    MOST_DRAWS,
+    MOST_RAYS_IN_SAMPLE,
+    MOST_SEARCHED,
+    MOST_VOXELS,
+    MOST_VOXELS_IN_FLIGHT,
+)
+from scenegen.worlds.flight import Flight
+from scenegen.worlds.kinds import find_kind
+from scenegen.worlds.kinds.kind import WorldKind
+from scenegen.worlds.mapping import Known, Mapper
+from scenegen.worlds.tables import (
+    beam_table,
+    check_name,
+    field_names,
+    from_table,
+    named_lidar,
+    named_noise,
+    read_toml,
+    sensor_of,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acceptance(Checked):
+    """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient
+    geometric complexity".
+
+    Maps that are poorly seen stay: they are the task.
+    """
+
+    min_solids: float = number(1.0, least=0)
+    """A world is rejected when, averaged along its flight, fewer solids than this reach into the
+    map."""
+    min_occupied_share: float = number(0.0005, least=0, most=1)
+    """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
+    min_returned_share: float = number(0.01, least=0, most=1)
+    """A viewpoint is rejected when a smaller share of its rays than this returns."""
+    max_draws: int = number(50, least=1, most=MOST_DRAWS)
+    """Draws of one world after which generation gives up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults(Checked):
+    """A recipe's [noise]."""
+
+    stages: str = ""
+    """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for
+    clean ranges."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Everything that determines a dataset's content, except the seed and the counts.
+
+    Raises ValueError, naming the table, if flights have no room in the world, or if parameters that
+    are valid by themselves together need more memory or time than `scenegen.base.limits` allows."""
+
+    kind: str
+    """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF
+    files."""
+    difficulty: str = "medium"
+    """Which of the kind's presets `world` began as."""
+    world: WorldKind | None = None
+    """How worlds are drawn; None for worlds from MJCF files."""
+    flight: Flight = field(default_factory=Flight)
+    accept: Acceptance = field(default_factory=Acceptance)
+    lidar: Sensor = field(default_factory=Lidar)
+    """The sensor. Unless it is a raster, it becomes the table of its rays, which does not need the
+    user's code."""
+    grid: GridSpec = field(default_factory=GridSpec)
+    noise: Noise = field(default_factory=Noise)
+    """The noise of ranges. Worlds, flights and viewpoints do not depend on it."""
+    parts: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    """Settings of optional parts of samples, by their names in `scenegen.draw.parts.PARTS`. Nothing
+    else depends on them."""
+    mapping: Mapper = field(default_factory=Mapper)
+    """Which scans make a map, how the sensor is held, and where the map lies."""
+    known: Known | None = None
+    """How much must be known of the maps of real places; None where no world is one."""
+
+    def __post_init__(self) -> None:
+        if any(getattr(self.lidar, "lever_arm_m", ())):
+            raise ValueError(
+                "[lidar] lever_arm_m: a dataset's poses are the sensor's own; leave it out"
+            )
+        # a manifest must be readable without the user's code
+        if not isinstance(self.lidar, Lidar | BeamTable):
+            object.__setattr__(self, "lidar", beam_table(self.lidar))
+        if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
+            raise ValueError(
+                f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a "
+                f"manifest"
+            )
+        grid, flight = self.grid, self.flight
+        voxels = math.prod(grid.shape)
+        if voxels > MOST_VOXELS:
+            raise ValueError(
+                f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at "
+                f"most"
+            )
+        # each limit bounds a product: every factor is fine by itself
+        if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
+            raise ValueError(
+                f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, "
+                f"expected "
+                f"{MOST_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
+            )
+        if grid.voxel_m > self.lidar.max_range_m:
+            raise ValueError(
+                f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, "
+                f"lidar.max_range_m = {self.lidar.max_range_m}"
+            )
+        self.mapping.check_reach(
+            grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE
+        )
+        if self.accept.max_draws * flight.flights_per_world * flight.iterations > MOST_SEARCHED:
+            raise ValueError(
+                f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
+                f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, "
+                f"expected {MOST_SEARCHED} at most; lower one of them"
+            )
+        if self.world is not None:
+            box = flight.bounds(self.world.size_m)
+            # ten diagonals: a flight made of straight steps towards random points hardly ever takes
+            # two
+            candidates = 10 * float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / flight.spacing_m
+            if candidates > MOST_CANDIDATES:
+                raise ValueError(
+                    f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan "
+                    f"from along one flight, expected {MOST_CANDIDATES} at most; raise it"
+                )
+
+    @property
+    def version(self) -> int:
+        """The version of the kind's preset; 0 for worlds from MJCF files."""
+        return 0 if self.world is None else self.world.version
+
+    def resolved(self) -> Json:
+        """Return the manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
+        values."""
+        tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
+        return {
+            "version": self.version,
+            **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
+            **{name: asdict(part) for name, part in tables.items() if part is not None},
+        }
+
+
+def preset(
+    kind: str,
+    *,
+    lidar: Sensor | str | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
+) -> Recipe:
+    """Make the preset recipe of a kind.
+
+    Args:
+        kind: Its name, or "module:Class".
+        lidar: A sensor, the name of one, such as "livox-avia", or of a TOML file of one, instead of
+            the paper's.
+        noise: Stages of noise, such as "range:0.02".
+        mapping: Parameters of how maps are made.
+        difficulty: "easy", "medium" or "hard"; medium by default.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        RecipeError: If an argument is invalid; for an unknown kind, the nearest name is suggested.
+    """
+    return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
+
+
+def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
+    """Read a recipe from a TOML file.
+
+    It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
+    [mapping], [known] and [grid] of values that differ from the preset. A sensor of the user's own
+    is imported, so look at the `[lidar] sensor` of a stranger's recipe before you run it.
+
+    Args:
+        path: The file.
+        kind: Replaces a missing `kind`.
+        given: As for `preset`; must not repeat the file's.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        RecipeError: If the file is invalid; the message names file, table and parameter.
+    """
+    where = printable(path)
+    tables = read_toml(path)
+    named = tables.pop("kind", kind)
+    if named is None:
+        raise RecipeError(
+            f'{where}: names no kind; add a line such as kind = "pillar", or give --kind'
+        )
+    if kind is not None and kind != named:
+        raise RecipeError(
+            f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the "
+            f"two out"
+        )
+    if not isinstance(named, str):
+        raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
+    return make_recipe(named, tables, where=where, folder=path.parent, **given)
+
+
+def _with_options(tables: Json, where: str, options: Json) -> Json:
+    """Merge a file's tables with options, see `preset`; a sensor stays as it is.
+
+    Raises RecipeError if both have the same one."""
+    options = {name: value for name, value in options.items() if value is not None}
+    if "noise" in options:
+        options["noise"] = {"stages": options["noise"]}
+    for name in options.keys() & tables.keys():
+        named = ", ".join(options[name]) if name == "mapping" else f"--{name}"
+        present = name if name == "difficulty" else f"a table [{name}]"
+        raise RecipeError(
+            f"{where}: has {present}, and {named} is given beside it; leave one of the two out"
+        )
+    return {**tables, **options}
+
+
+def _graded(kind: type[WorldKind], level: Any, prefix: str) -> Json:
+    """Return the parameters in which a kind's preset of this difficulty differs from its
+    defaults."""
+    known = {**kind.graded, "medium": {}}
+    if not isinstance(level, str) or level not in known:
+        raise RecipeError(
+            f"{prefix}difficulty = {short(level)}: expected one of {', '.join(known)}"
+        )
+    return known[level]
+
+
+def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, prefix: str) -> None:
+    """Raise RecipeError if `world` has more values of another preset than of `level`'s.
+
+    Only the parameters in which the kind's presets differ are counted."""
+    levels = {"medium": {}, **kind.graded}
+    names = sorted({name for values in levels.values() for name in values})
+    alike = {}
+    for preset_level, values in levels.items():
+        preset_world = from_table(kind, values, f"{prefix}difficulty {preset_level}", Path())
+        alike[preset_level] = sum(
+            getattr(world, name) == getattr(preset_world, name) for name in names
+        )
+    nearest = max(alike, key=lambda preset_level: alike[preset_level])
+    if alike[level] < alike[nearest]:
+        raise RecipeError(
+            f"{prefix}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of "
+            f"the {nearest} preset and {alike[level]} of that one ({', '.join(names)}); "
+            "leave one of the two out"
+        )
+
+
+def make_recipe(
+    kind: str,
+    tables: Json,
+    *,
+    where: str = "",
+    folder: Path = Path(),
+    **given: Any,
+) -> Recipe:
+    """Make the preset of `kind` with other values.
+
+    The modules of a user's own kind and sensor are imported, so neither name may come from a
+    stranger's file.
+
+    Args:
+        kind: Its name, or "module:Class", or "scene".
+        tables: Values by table, as in a recipe's file.
+        where: The tables' source, for messages.
+        folder: Paths in `tables` are relative to it.
+        given: As for `preset`.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        RecipeError: If a value is invalid; the message names the table and the parameter.
+    """
+    kinds = {
+        "flight": Flight,
+        "accept": Acceptance,
+        "lidar": Lidar,
+        "grid": GridSpec,
+        "noise": Faults,
+        "mapping": Mapper,
+    }
+    if "known" in tables:
+        kinds["known"] = Known
+    prefix = f"{where}: " if where else ""
+    tables = _with_options(tables, where, given)
+    level = tables.pop("difficulty", "medium")
+    defaults: dict[str, Json] = {}
+    if kind != "scene":
+        with raised_as(RecipeError, prefix):
+            world = find_kind(kind)
+        kinds["world"] = world
+        defaults = {"flight": world.flight_defaults, "accept": world.accept_defaults}
+        defaults["world"] = _graded(world, level, prefix)
+    elif level != "medium":
+        raise RecipeError(f"{prefix}difficulty: worlds from MJCF files have none; leave it out")
+    sensor = given.get("lidar")
+    if sensor is not None:
+        sensor, tables["lidar"] = named_lidar(sensor), {}
+    for name, table in tables.items():
+        owners = [f"[{part}]" for part, owner in kinds.items() if name in field_names(owner)]
+        # TOML puts a key behind a table's line into that table, and one before it into none
+        if owners and name not in kinds and not isinstance(table, dict):
+            raise RecipeError(
+                f"{prefix}{name} stands in no table; "
+                f"expected it below the line {' or '.join(owners)}"
+            )
+        check_name(name, tuple(sorted(kinds)), "table", where)
+        if not isinstance(table, dict):
+            raise RecipeError(
+                f"{prefix}{name} = {short(table)}: expected a table, [{name}], of parameters"
+            )
+    # the user's values come last, and win
+    values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
+    lidar = values.pop("lidar")
+    parts = {
+        name: from_table(kinds[name], table, f"{prefix}[{name}]", folder)
+        for name, table in values.items()
+    }
+    if kind != "scene" and level != "medium":
+        _check_graded(world, level, parts["world"], prefix)
+    if sensor is None:
+        sensor = sensor_of(lidar, f"{prefix}[lidar]", folder)
+    # after the sensor: `datasheet` stands for the sensor's own noise
+    noise = named_noise(parts["noise"].stages or None, sensor, prefix and f"{prefix}[noise]")
+    parts |= {"lidar": sensor, "noise": noise}
+    reason = f"{prefix}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, prefix), raised_as(RecipeError, reason, of=TypeError):
+        recipe = Recipe(kind=kind, difficulty=level, **parts)
+        # a user's own parameters may be of any type
+        json.dumps(recipe.resolved())
+    return recipe

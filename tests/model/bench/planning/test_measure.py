@@ -1,0 +1,121 @@
+"""Trials are judged in the truth as a slow reference judges them, on random maps."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from lidarsim import GridSpec
+from scenegen.model.bench.planner import Lattice, Plan, plan_path, refine
+from scenegen.model.bench.trials import draw_trials, judge, run_trial
+from scenegen.model.config import PlanConfig
+from scenegen.truth import distance_field
+from tests.refusals import refuses
+
+GRID = GridSpec(shape=(40, 40, 20))
+LATTICE = Lattice(
+    GRID, 3
+)  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z; the start is (20, 20, 10)
+EAST = LATTICE.centres([12, 6, 3])  # voxel (38, 20, 10): straight along x
+PLAN = PlanConfig()
+FREE = np.zeros(GRID.shape, bool)
+FAR = np.full(GRID.shape, 2.0, np.float32)
+
+
+def scattered(seed):
+    """Random pillars and blocks, free around the start."""
+    rng = np.random.default_rng(seed)
+    occupied = FREE.copy()
+    for low in rng.integers(0, (38, 38, 16), (25, 3)):
+        x, y, z = low
+        occupied[x : x + 2, y : y + 2, z : z + rng.integers(2, 20)] = True
+    occupied[18:23, 18:23] = False
+    return occupied
+
+
+def trials_in(truth, count, seed, config=PLAN, **more):
+    """Trials of a stream of its own."""
+    rng = np.random.default_rng(seed)
+    return draw_trials(truth, GRID, config, count=count, rng=rng, **more)
+
+
+def points_of(path):
+    """Of each leg, points at most 0.05 m apart."""
+    for a, b in itertools.pairwise(path):
+        count = int(np.ceil(np.linalg.norm(b - a) / 0.05 - 1e-9))
+        yield a + (b - a) * (np.arange(count + 1) / count)[:, None]
+
+
+def is_clear(path, truth):
+    voxels = np.floor(np.concatenate([*points_of(path)]) / 0.2).astype(int)
+    return not truth[tuple(voxels.T)].any()
+
+
+def test_measurements_are_those_of_a_slow_reference():
+    """Every leg cut into pieces of at most 0.05 m, read by scipy, averaged along the path."""
+    axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
+    outcomes = set()
+    for seed in range(12):
+        truth, pred = scattered(seed), scattered(100 + seed)
+        if seed % 2:
+            pred &= truth  # else obstacles that are not there push paths away, too
+        else:
+            truth = np.random.default_rng(seed).random(GRID.shape) < 0.01
+        if seed == 0:
+            pred[29] = True  # a wall of nodes, so that some goals cannot be reached
+        tudf, tudf_pred = distance_field(truth, GRID), distance_field(pred, GRID)
+        read = RegularGridInterpolator(
+            axes, tudf.astype(float), bounds_error=False, fill_value=None
+        )
+        for goal in trials_in(truth, 5, seed).goals:
+            result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, PLAN)
+            initial, reason = plan_path(pred, goal, GRID, PLAN)
+            if initial is None:
+                assert (result.success, result.cause) == (False, reason)
+                assert np.isnan(result.length_m)
+                outcomes.add(reason)
+                continue
+            path = refine(initial, tudf_pred, GRID, PLAN)
+            distances, weights = [], []
+            for points in points_of(path):
+                found = read(points)
+                distances.append((found[1:] + found[:-1]) / 2)
+                weights.append(np.linalg.norm(np.diff(points, axis=0), axis=1))
+            length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+            assert result.length_m == pytest.approx(length)
+            mean = np.average(np.concatenate(distances), weights=np.concatenate(weights))
+            assert result.mean_clearance_m == pytest.approx(mean, abs=1e-9)
+            least = read(np.concatenate([*points_of(path)])).min()
+            assert result.min_clearance_m == pytest.approx(least)
+            before, after = is_clear(initial, truth), is_clear(path, truth)
+            cause = "refined_into_obstacle" if before else "initial_collides"
+            assert (result.success, result.cause) == (after, None if after else cause)
+            outcomes.add((before, after))
+    assert len(outcomes - {"goal_blocked"}) == 5  # refinement saves some paths, and spoils others
+
+
+def test_maps_of_another_shape_are_refused():
+    maps = {"occupied": FREE, "tudf": FAR, "occupancy_truth": FREE, "tudf_truth": FAR}
+    for name, given in maps.items():
+        wrong = (maps | {name: given[1:]}).values()
+        assert name in refuses(name, run_trial, *wrong, EAST, GRID, PLAN)
+
+
+def test_a_path_that_leaves_the_map_is_refused():
+    for end in (4.1, -0.1):
+        path = np.array([[2.0] * 3, [end] * 3])
+        refuses(end, judge, Plan(path, None), path, FREE, FAR, GRID)
+
+
+def test_hits_are_the_occupied_voxels_of_a_path_in_its_order():
+    truth = FREE.copy()
+    truth[30, 20, 10] = truth[25:27, 20, 10] = True  # the last voxel of the path is number 30
+    truth[35, 20, 10] = True  # beyond it
+    path = LATTICE.centres([[6, 6, 3], [9, 6, 3]])
+    path[1, 0] += 0.2
+    judged = judge(Plan(path, None), path, truth, FAR, GRID)
+    numbers = np.arange(truth.size).reshape(GRID.shape)
+    assert judged.hits == tuple(numbers[[25, 26, 30], 20, 10].tolist())
+    assert judged.hit == judged.hits[0]
+    assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None

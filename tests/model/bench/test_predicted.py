@@ -1,0 +1,92 @@
+"""Files of predictions: those that do not fit, or cannot be, are refused in one line."""
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.base.errors import DatasetError
+from scenegen.model.bench.methods import Predicted, tune
+from scenegen.model.config import Thresholds
+from tests.model.bench.test_bench import report_of, write_predictions
+from tests.refusals import refuses
+
+
+def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dataset, tmp_path):
+    path = write_predictions(tmp_path / "p.h5", dataset, drop=2)
+    more = {"error": DatasetError}
+    refuses("two", report_of, dataset, tmp_path / "bench", "--predictions", path, **more)
+    assert not (tmp_path / "bench").exists()
+
+
+ROWS = (9, 24, 24, 16)
+"""Samples of the split, and the shape of their maps."""
+
+
+def set_voxel(name, value):
+    def change(file):
+        file[name][3, 1, 2, 3] = value
+
+    return change
+
+
+def put(name, value, **options):
+    def change(file):
+        del file[name]
+        file.create_dataset(name, data=value, **options)
+
+    return change
+
+
+def promise_a_terabyte(file):
+    """Chunks that were never written: a file of a few kilobytes."""
+    del file["tudf"]
+    file.create_dataset("tudf", ROWS, np.float32, chunks=ROWS, maxshape=(None,) * 4)
+    del file["occupancy_probability"], file["world"]
+    file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
+
+
+def repeat_a_row(file):
+    file["world"][1], file["viewpoint"][1] = file["world"][0], file["viewpoint"][0]
+
+
+def leave_unwritten(file):
+    """What a program leaves that ended too early."""
+    del file["tudf"]
+    file.create_dataset("tudf", ROWS, np.float32, chunks=(1, *ROWS[1:]))[:5] = 1.0
+
+
+def link_outside(file):
+    del file["tudf"]
+    file["tudf"] = h5py.ExternalLink("/etc/passwd", "tudf")
+
+
+CHANGES = {
+    "seven": set_voxel("occupancy_probability", 7.0),
+    "negative": set_voxel("tudf", -0.5),
+    "unwritten": leave_unwritten,
+    "repeated": repeat_a_row,
+    "short": put("tudf", np.zeros((8, 24, 24, 16), np.float32)),
+    "text": put("tudf", np.zeros(ROWS, "S3")),
+    "moved": lambda file: file.move("world", "elsewhere"),
+    "linked": link_outside,
+    "split": lambda file: file.attrs.update({"split": np.arange(3)}),
+    "dataset": lambda file: file.attrs.update({"dataset": b"\x1b[31m\n"}),
+    "nothing": lambda file: (file.pop("tudf"), file.pop("occupancy_probability")),
+    "terabyte": promise_a_terabyte,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_predictions_that_cannot_be_are_refused(dataset, tmp_path, change):
+    path = write_predictions(tmp_path / "p.h5", dataset)
+    with h5py.File(path, "a") as file:
+        CHANGES[change](file)
+    refuses(change, lambda: Predicted(path).check(dataset, "test"), error=DatasetError)
+
+
+def test_predictions_of_one_split_say_nothing_of_another(dataset, tmp_path):
+    """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
+    predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
+    with pytest.raises(KeyError):
+        predicted.completion(dataset.split("val")[0], dataset.split("val"))
+    assert tune(predicted, dataset, thresholds=Thresholds()) == Thresholds()

@@ -1,0 +1,60 @@
+"""What each bundled network promises, on worlds that neither training nor calibration saw: any
+change of a layer, of an input or of what reads the files shows here."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import scenegen
+from lidarsim.grid import iou
+from scenegen.model.bench.visibility import UNOBSERVED, classify
+from scenegen.model.completion.completer import Completer
+from scenegen.model.config import Thresholds, bundled
+from tests.command_line import rows
+
+FIGURES = """
+anywhere → .768 → .134 → .779 → .118
+columns  → .776 → .123 → .790 → .105
+occ      → .603 → .135 → .699 → .085
+proposed → .615 → .156 → .695 → .118
+tudf     → .509 → .166 → .503 → .122
+"""
+"""IoU and mean error of distances in metres, of pillars and of geometric worlds."""
+FIGURES = {name: list(map(float, figures)) for name, *figures in rows(FIGURES)}
+
+
+@cache
+def held_out():
+    """A sample of each kind, and the voxels of it that were not seen."""
+    streams = [scenegen.stream(kind, seed=7, split="test") for kind in ("pillar", "geometric")]
+    return [
+        (one[0], np.isin(classify(one[0], lidar=one.lidar, grid=one.grid), UNOBSERVED))
+        for one in streams
+    ]
+
+
+def negative_log_likelihood(probability, occupied):
+    right = np.where(occupied, probability, 1 - probability.astype(float))
+    return -np.log(np.maximum(right, 1e-7)).mean()
+
+
+def test_every_bundled_network_is_here():
+    assert set(FIGURES) == set(bundled())
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_bundled_network_completes_new_worlds_as_ever(name):
+    completer, at, figures = Completer.from_pretrained(name), Thresholds(), []
+    for sample, unseen in held_out():
+        said = completer(sample)
+        figures.append(iou(said.occupied(at), sample.occupancy))
+        figures.append(np.abs(said.distance(at, completer.grid) - sample.tudf).mean())
+        assert (said.probability is None) == (name == "tudf")
+        if said.probability is not None:
+            raw, calibrated = (
+                negative_log_likelihood(part[unseen], sample.occupancy[unseen])
+                for part in (said.occupancy_probability, said.probability)
+            )
+            assert calibrated < 0.9 * raw
+    assert figures == pytest.approx(FIGURES[name], abs=0.005)

@@ -1,0 +1,224 @@
+"""A target of a user's own: the classes of voxels, as a third head, trained, stored and read
+back."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import scenegen
+from scenegen.base.errors import ScenegenError
+from scenegen.model.bench.methods import Predicted
+from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import predict_split
+from scenegen.model.completion.stored import prediction_facts
+from scenegen.model.config import NetworkConfig, TrainConfig
+from scenegen.model.inputs import turned
+from scenegen.model.targets import target_called
+from scenegen.worlds.labels import labels_by
+from tests.command_line import done, example, page, refused, rows
+from tests.conftest import dataset_in, small_recipe
+from tests.model.training.runs import figures, maps_of, train
+
+COUNTS = {"train": 8, "val": 4, "test": 4}
+LABELS = labels_by("name", ())
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
+def labelled_in(folder):
+    recipe = dataclasses.replace(small_recipe(), parts={"labels": LABELS})
+    dataset_in(folder / "d", recipe, counts=COUNTS)
+
+
+@pytest.fixture
+def here(once, standing):
+    """A user's folder with the page's target, to stand in."""
+    (standing / "data").mkdir()
+    (standing / "data" / "street").symlink_to(once("labelled", labelled_in) / "d")
+    (standing / "my_labels.py").write_text(example("own-network.md", "# my_labels.py"))
+    yield standing
+    target_called.cache_clear()
+
+
+def config_of(**more):
+    target = {"targets": ("my_labels:Classes",), "width": 4, "batch": 4, "epochs": 2}
+    return TrainConfig.of({**target, "precision": "float32", **more})
+
+
+def test_the_page_trains_completes_and_reads_back(here, capsys):
+    lines = re.findall(r"^    scenegen (.*)$", page("own-network.md"), re.MULTILINE)
+    _, training, completing = (line for line in lines)
+    done(capsys, f"{training} --epochs 6 --width 4 --batch 4 --device cpu --lr 0.01")
+    losses = [float(row["val_classes"]) for row in figures(Path("runs/classes"))]
+    assert losses[-1] < 0.8 * losses[0]
+    done(capsys, completing)
+    exec(example("own-network.md", "import h5py"), {})
+    samples = scenegen.load("data/street", "test")
+    completer = Completer.from_pretrained("my_labels:Classes@runs/classes")
+    read = Predicted(Path("predictions"))
+    read.check(samples.dataset, "test")
+    for sample in samples:
+        classes = read.completion(sample, samples).others["classes"]
+        assert_array_equal(classes, completer(sample).others["classes"])
+        assert classes.dtype == np.uint8
+        assert classes.max() < len(LABELS.classes)
+        assert (classes == sample.voxel_class).mean() > 0.5
+    assert prediction_facts(Path("predictions/test-00000.h5"))["arrays"]["classes"][0] == 4
+    assert "classes" in Path("runs/classes/card.md").read_text()
+
+
+def test_a_scan_is_stored_with_its_classes(here, capsys):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    completer = Completer.from_pretrained("my_labels:Classes@run")
+    sample = scenegen.load("data/street", "test")[0]
+    points = sample.points()
+    np.savez("scan.npz", points=points)
+    sensor = sample.position.tolist()
+    words = "complete scan.npz --weights my_labels:Classes@run -o scan.h5 --sensor"
+    done(capsys, f"{words} {' '.join(map(str, sensor))}")
+    with h5py.File("scan.h5") as file:
+        assert_array_equal(file["classes"], completer(points, sensor=sensor).others["classes"])
+
+
+@pytest.mark.parametrize("variant", ["proposed", "occ", "columns"])
+def test_a_head_changes_none_of_the_others_shapes(here, variant):
+    train(["data/street"], config_of(variant=variant, epochs=1), here / "run")
+    completer = Completer.from_pretrained("my_labels:Classes@run")
+    prediction = completer(np.zeros((3, 24, 24, 16), bool))
+    assert prediction.others["classes"].shape == prediction.occupancy_probability.shape
+    assert (prediction.tudf is None) == (variant == "occ")
+
+
+def test_classes_turn_with_the_map(here):
+    maps = maps_of(["data/street"], ("observed",), ("my_labels:Classes",))
+    assert maps.channels() == (len(LABELS.classes),)
+    straight = maps[0, 0]["classes"].numpy()
+    for view in range(8):
+        assert_array_equal(maps[0, view]["classes"], turned(straight, view))
+
+
+def test_a_run_goes_on_where_it_was(here):
+    rows = train(["data/street"], config_of(), here / "run")
+    assert train(["data/street"], config_of(), here / "run") == rows
+
+
+def test_files_that_name_other_arrays_are_refused(here):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    dataset = scenegen.load("data/street", "test").dataset
+    predict_split(Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", here / "p")
+    Predicted(here / "p").check(dataset, "test")
+    for others in ("world", "classes,classes", "a b", "absent", "tudf", "x/y"):
+        with h5py.File(here / "p" / "test-00000.h5", "a") as file:
+            file.attrs["others"] = others
+            file.attrs.pop("digest", None)
+        with pytest.raises(ScenegenError, match=r"names targets|expected .*absent"):
+            Predicted(here / "p").check(dataset, "test")
+
+
+def test_a_file_has_no_target_imported_by_itself(here, capsys):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    with pytest.raises(CheckpointError, match="my_labels:Classes"):
+        Completer.from_pretrained("run")
+    assert "my_labels:Classes@" in refused(capsys, "complete data/street --weights run")
+
+
+WRONG = """
+import numpy as np
+from my_labels import Classes
+class Plain: pass
+class Short(Classes):
+    def truth(self, sample, grid): return sample.voxel_class[:-1].astype(np.int64)
+class Missing(Classes):
+    def channels(self, parts): return parts["colours"].classes
+class Shapeless(Classes):
+    def prediction(self, output, grid): return output[..., 0]
+class Iou(Classes):
+    def loss(self, output, batch, objective): return output.mean()
+class Unweighted(Classes):
+    def loss(self, output, batch, objective): return 3.0
+"""
+SAID = """
+Plain       → expected a subclass of
+Gone        → has no Gone
+Short       → gives an array of int64 of shape
+Missing     → finds no number of channels
+Shapeless   → shapeless is an array of shape
+Iou         → iou is .*no metric has
+Unweighted  → unweighted is 3.0
+"""
+
+
+@pytest.mark.parametrize(("name", "said"), rows(SAID))
+def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name, said):
+    (here / "wrong.py").write_text(WRONG)
+    with pytest.raises(ScenegenError, match=said):
+        train(["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
+    assert not (here / "run").exists()
+
+
+def test_a_dataset_without_labels_is_refused(here, folders):
+    with pytest.raises(ScenegenError, match="--labels"):
+        train([folders[0]], config_of(), here / "run")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"targets": ("occupancy",)},
+        {"targets": ("a:Known",)},
+        {"targets": ("a:Occupancy",), "variant": "tudf"},
+        {"targets": ("a:Classes", "b:Classes")},
+        {"targets": ("a:Classes",), "channels": (0,)},
+        {"targets": ("classes",)},
+    ],
+)
+def test_names_of_other_maps_are_refused(settings):
+    with pytest.raises(ValueError, match=r"targets|channels|unknown target"):
+        NetworkConfig(**settings)
+
+
+OWN = """
+import torch
+from torch import nn
+from scenegen import Output
+class Net(nn.Module):
+    tasks = ("occupancy",)
+    def __init__(self, config):
+        super().__init__()
+        self.body = nn.Conv3d(1, 1 + config.channels_of("classes"), 3, padding=1)
+    def forward(self, batch):
+        logits, *classes = self.body(batch["observed"].float()[:, None]).unbind(dim=1)
+        return Output(logits, None, {"classes": torch.stack(classes, dim=1)})
+class Silent(Net):
+    def forward(self, batch):
+        return super().forward(batch)._replace(others={})
+"""
+
+
+def test_a_network_of_ones_own_predicts_it_and_is_exported(here, capsys):
+    (here / "own.py").write_text(OWN)
+    own = "own:Net,my_labels:Classes@run"
+    train(["data/street"], config_of(variant="own:Net"), here / "run")
+    done(capsys, f"export {own} -o net.onnx")
+    maps = np.random.default_rng(0).random((3, 24, 24, 16)) < 0.1
+    network = Completer.from_pretrained(own)
+    exported = Completer.from_pretrained("my_labels:Classes@net.onnx")
+    classes = network(maps).others["classes"]
+    assert (exported(maps).others["classes"] == classes).mean() > 0.99
+    with pytest.raises(CheckpointError, match="my_labels:Classes"):
+        Completer.from_pretrained("net.onnx")
+    with pytest.raises(ScenegenError, match=r"expected .*'classes'"):
+        train(["data/street"], config_of(variant="own:Silent"), here / "silent")
+
+
+def test_a_second_task_is_a_target_like_any(here):
+    """The paper's two tasks, as two decoders that are not coupled."""
+    config = config_of(variant="occ", targets=("tudf",), epochs=1)
+    rows = train(["data/street"], config, here / "run")
+    assert {"val_occupancy", "val_regression", "val_eikonal"} <= rows[0].keys()
+    assert Completer.from_pretrained("run")(np.zeros((24, 24, 16), bool)).tudf.min() >= 0

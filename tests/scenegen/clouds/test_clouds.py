@@ -1,0 +1,170 @@
+"""Point clouds: what three formats hold comes back, and files that promise more than they hold
+are refused."""
+
+import re
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
+
+from scenegen.worlds.clouds import read_cloud, scans_in
+from scenegen.worlds.clouds.write import write_points
+from tests.command_line import rows
+from tests.scenegen import refuses
+
+POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
+XYZ = "property float x;property float y;property float z;end_header"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_what_trimesh_writes_as_ply_comes_back(tmp_path, encoding):
+    cloud = trimesh.PointCloud(POINTS, colors=np.full((50, 4), 7, np.uint8))
+    (tmp_path / "scan.ply").write_bytes(cloud.export(file_type="ply", encoding=encoding))
+    assert_allclose(read_cloud(tmp_path / "scan.ply").points, POINTS, atol=1e-7)
+
+
+def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
+    head = (
+        "ply\nformat binary_big_endian 1.0\ncomment caf\xe9\nelement vertex 50\nproperty uchar "
+        "i\nproperty double z\n"
+        "property float y\nproperty float x\nelement face 1\nproperty list uchar int "
+        "vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(50, [("i", "u1"), ("z", ">f8"), ("y", ">f4"), ("x", ">f4")])
+    for axis, column in zip("xyz", POINTS.T, strict=True):
+        rows[axis] = column
+    (tmp_path / "scan.ply").write_bytes(head.encode("latin-1") + rows.tobytes() + b"\3" + bytes(12))
+    assert_array_equal(read_cloud(tmp_path / "scan.ply").points, POINTS)
+
+
+def test_arrays_and_text_come_back(tmp_path):
+    for order in "CF":
+        np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
+        assert_array_equal(read_cloud(tmp_path / "scan.npy").points, POINTS)
+    (tmp_path / "scan.XYZ").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
+    assert_array_equal(read_cloud(tmp_path / "scan.XYZ").points, [[1, 2, 3], [4, 5, np.nan]])
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["//X Y Z Intensity", "x,y,z,i", "# intensity x y z", "t x y z", "#x y z i", "x y z time"],
+)
+def test_a_first_line_of_names_says_where_x_y_and_z_are(tmp_path, head):
+    before = "9 " * head.startswith(("# i", "t"))
+    after = "12:30:00" if "time" in head else "7"
+    text = "".join(f"{before}{point} {after}\n" for point in ("1 2 3", "4 5 6"))
+    (tmp_path / "a.xyz").write_text(f"{head}\n{text}")
+    assert_array_equal(read_cloud(tmp_path / "a.xyz").points, [[1, 2, 3], [4, 5, 6]])
+
+
+def npy(header):
+    """An array file that holds nothing but its header."""
+    return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
+
+
+PLY = f"""
+ply;format ascii 1.0;element vertex 1000000000000;{XYZ};1 2 3;1 2 3;  → promises 1000000000000
+ply;format ascii 1.0;element vertex 5;{XYZ};1 2 3;1 2 3;1 2 3; → promises 5 points and holds 3
+ply;format binary_little_endian 1.0;element vertex 5;{XYZ};{"x" * 40} → holds 3
+ply;format ascii 1.0;element vertex -1;{XYZ};                         → promises -1 points
+ply;format zip 1.0;element vertex 1;{XYZ};                            → expected a header
+ply;format ascii 1.0;element vertex 1;property list uchar int x;end_header; → no lists
+ply;format ascii 1.0;element vertex 1;{XYZ.replace(" y", " x")};1 2 3;      → x, y and z
+{"ply;" * 10_000} → its header has no end
+"""
+PROMISED = [
+    *((".ply", content.replace(";", "\n"), said) for content, said in rows(PLY)),
+    (".npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
+    (".npy", npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"), "cannot be"),
+    (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"), "Object arrays"),
+    (".xyz", "", "expected (N, 3)"),
+    (".xyz", "1 2 3\n1 2\n", "cannot be read"),
+    (".xyz", "1,5 -2,25 3,5\n", "3.5 and not 3,5"),
+    (".xyz", "\0" * 1000, "cannot be read"),
+]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("suffix", "content", "said"), PROMISED)
+def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, suffix, content, said):
+    path = tmp_path / f"it{suffix}"
+    path.write_bytes(content.encode("latin-1"))
+    refuses(re.escape(said), read_cloud, path)
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
+def test_what_scan_writes_comes_back(tmp_path, suffix):
+    points = POINTS * np.array([9, 9, 1], "f4")  # as places are wider than high
+    for intensity in (None, np.linspace(0, 1, 50)):
+        write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
+        assert_array_equal(read_cloud(tmp_path / f"scan{suffix}").points, points)
+
+
+def pcd(form, n=3, fields="intensity _ z y x", type="U U F F F", count="1 3 1 1 1"):
+    head = f"VERSION .7\nFIELDS {fields}\nSIZE 2 1 8 4 4\nTYPE {type}\nCOUNT {count}\n"
+    return f"{head}WIDTH {n}\nPOINTS {n}\nDATA {form}\n".encode()
+
+
+def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
+    points = np.random.default_rng(1).normal(size=(3, 3)).astype(np.float32).astype(np.float64)
+    text = "".join(f"7 0 0 0 {z!r} {y!r} {x!r}\n" for x, y, z in points.tolist())
+    (tmp_path / "text.pcd").write_bytes(b"# made by hand\n" + pcd("ascii") + text.encode())
+    rows = b"".join(struct.pack("<HBBBdff", 7, 0, 0, 0, z, y, x) for x, y, z in points)
+    (tmp_path / "binary.pcd").write_bytes(pcd("binary") + rows)
+    # as LZF has it: the fields one after the other, of which five bytes are repeated
+    fields = np.frombuffer(rows, "<u2,3u1,<f8,<f4,<f4")
+    columns = b"".join(fields[name].tobytes() for name in fields.dtype.names)
+    assert columns[:15] == b"\7\0" * 3 + bytes(9)
+    packed = b"\1\7\0\x40\1\0\0\xe0\0\0"  # 7 0, four bytes from two before, 0, nine from one before
+    for n in range(16, len(columns), 32):
+        packed += bytes([len(columns[n : n + 32]) - 1]) + columns[n : n + 32]
+    sizes = struct.pack("<II", len(packed), len(columns))
+    (tmp_path / "packed.pcd").write_bytes(pcd("binary_compressed") + sizes + packed)
+    for name in ("text", "binary", "packed"):
+        assert_array_equal(read_cloud(tmp_path / f"{name}.pcd").points, points)
+
+
+PACKED, ROWS = pcd("binary_compressed"), bytes(63)
+PCDS = [
+    pcd("binary", 4) + ROWS,
+    PACKED + ROWS,
+    PACKED + struct.pack("<II", 3, 63) + b"\1\0\0",  # ends early
+    PACKED + struct.pack("<II", 2, 63) + b"\x20\5",  # repeats what was before it
+    pcd("binary", fields="intensity _ z y w") + ROWS,
+    pcd("binary", 10**12) + ROWS,
+    pcd("binary", type="U U F F Q") + ROWS,
+    pcd("binary", count="1 999999999 1 1 1") + ROWS,
+    pcd("binary", count="1 -3 1 1 1") + ROWS,
+    b"DATA binary\n",
+]
+NOTHING = [
+    *((".pcd", content) for content in PCDS),
+    (".bin", bytes(17)),
+    (".bin", b""),
+    (".npz", b"PK\x05\x06" + bytes(18)),
+]
+
+
+@pytest.mark.parametrize(("suffix", "content"), NOTHING)
+def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"it{suffix}"
+    path.write_bytes(content)
+    refuses(path.name, read_cloud, path)
+
+
+def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("scenegen.worlds.clouds.formats.MOST_SCAN_BYTES", 10_000)
+    np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
+    assert (tmp_path / "bomb.npz").stat().st_size < 10_000
+    refuses("10000 at most", read_cloud, tmp_path / "bomb.npz")
+
+
+def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):
+    velodyne = "00/velodyne/2.bin", "00/velodyne/9.5.bin", "00/velodyne/10.bin"
+    names = *velodyne, "01/a2.pcd", "01/a10.PCD"
+    for name in (*reversed(names), "01/times.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert [str(path.relative_to(tmp_path)) for path in scans_in(tmp_path)] == list(names)

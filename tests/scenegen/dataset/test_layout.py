@@ -1,0 +1,100 @@
+"""A shard's values are those that HDF5 itself reads, whoever wrote and whoever reads it; what is
+damaged ends in one line."""
+
+import functools
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.dataset.layout import Chunks, layout_of, open_shard
+from scenegen.draw.sample import GROUPS, Schema
+from tests.conftest import small_recipe
+from tests.scenegen import refuses
+
+
+def shard_arrays(path):
+    with h5py.File(path) as file:
+        return {name: file[name][()] for name in file}
+
+
+@functools.cache
+def layout():
+    recipe = small_recipe()
+    return layout_of(GROUPS[""], Schema(grid=recipe.grid, lidar=recipe.lidar))
+
+
+def read_all(path, samples=3):
+    shard = open_shard(path, samples, layout())
+    return {
+        name: np.stack([shard.value(name, row) for row in range(samples)]) for name in shard.columns
+    }
+
+
+def bits(arrays):
+    """What arrays hold, to compare."""
+    return {name: (it.dtype, it.shape, it.tobytes()) for name, it in arrays.items()}
+
+
+@pytest.fixture
+def shard(made):
+    return made / "train-00000.h5"
+
+
+PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+
+
+def rewrite(path, arrays, libver="latest", **options):
+    """Write the `arrays` of a shard as another program might."""
+    with h5py.File(path, "w", libver=libver) as file:
+        for name, values in arrays.items():
+            file.create_dataset(name, data=values, chunks=(1, *values.shape[1:]), **options)
+    return path
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("options", [{}, {"compression": "gzip"}, PACKED])
+@pytest.mark.parametrize("samples", [1, 3])
+def test_any_writers_values_are_read(shard, tmp_path, libver, options, samples):
+    expected = {name: values[:samples] for name, values in shard_arrays(shard).items()}
+    path = rewrite(tmp_path / "x.h5", expected, libver, **options)
+    assert bits(read_all(path, samples)) == bits(expected)
+
+
+def test_our_values_are_read(shard):
+    assert bits(read_all(shard)) == bits(shard_arrays(shard))
+
+
+def test_contiguous_data_are_refused(shard, tmp_path):
+    path = tmp_path / "x.h5"
+    with h5py.File(path, "w") as file:
+        for name, values in shard_arrays(shard).items():
+            file.create_dataset(name, data=values)
+    refuses(r"x\.h5: \w+ is not stored in chunks", read_all, path)
+
+
+def test_a_shard_is_closed_when_nobody_holds_it(shard, tmp_path):
+    path = tmp_path / "x.h5"
+    path.write_bytes(shard.read_bytes())
+    held = open_shard(path, 3, layout())
+    with h5py.File(path) as file:  # others may read meanwhile
+        assert "world" in file
+    with pytest.raises(OSError, match="already open"):
+        h5py.File(path, "r+")
+    del held
+    refuses("as many samples", lambda: open_shard(path, 2, layout()))
+    h5py.File(path, "r+").close()
+
+
+def test_a_chunk_is_read_into_its_size_and_no_more(tmp_path):
+    packed = zlib.compress(bytes([7] * 100)), zlib.compress(bytes(101)), bytes(99), bytes(1102)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        data = file.create_dataset("x", (4, 100), "u1", chunks=(1, 100), compression="gzip")
+        for row, content in enumerate(packed):
+            data.id.write_direct_chunk((row, 0), content, row > 1)
+        chunks = Chunks(data.id)
+        assert chunks.read((0, 0)) == bytes([7] * 100)
+        for row, fault in ((1, "101 bytes"), (2, "99 bytes"), (3, "1102 bytes are stored for 100")):
+            with pytest.raises(ValueError, match=fault):
+                chunks.read((row, 0))

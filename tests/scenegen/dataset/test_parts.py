@@ -1,0 +1,136 @@
+"""Parts of samples that are asked for: their fields, digest and laws, and what breaks these."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import scenegen
+from scenegen.draw.parts import PARTS
+from scenegen.draw.parts.normals import Normals
+from scenegen.draw.sample import GROUPS
+from scenegen.verification import verify
+from scenegen.worlds.labels import labels_by
+from tests.command_line import done
+from tests.conftest import dataset_in, small_recipe
+from tests.scenegen import refuses
+from tests.scenegen.conftest import drawn_unit
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
+
+SETTINGS = {"labels": labels_by("class", ()), "normals": Normals()}
+
+
+def with_parts(*names, **tables):
+    parts = {name: SETTINGS[name] for name in names}
+    return dataclasses.replace(small_recipe(**tables), parts=parts)
+
+
+@pytest.fixture(scope="session")
+def whole(once):
+    """A dataset with every part; not to be changed."""
+    recipe = with_parts(*PARTS)
+    return once("parts", lambda folder: dataset_in(folder / "d", recipe)) / "d"
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    """A copy, to change."""
+    return forge.copy(whole, tmp_path / "d")
+
+
+def test_every_part_has_a_group_of_fields():
+    assert [name for name in GROUPS if name in PARTS] == [*PARTS]
+
+
+@pytest.mark.parametrize("names", [["labels"], ["normals"], ["normals", "labels"]])
+def test_parts_add_fields_and_change_none(names):
+    plain, more = (drawn_unit(it, seed=1).samples[0] for it in (small_recipe(), with_parts(*names)))
+    added = [field for name in PARTS if name in names for field in GROUPS[name]]
+    assert more.names == (*plain.names, *added)
+    for field in plain.names:
+        assert_array_equal(getattr(plain, field), getattr(more, field))
+
+
+def test_a_dataset_with_parts_passes_every_check(whole):
+    report = verify(whole)
+    assert report.ok, report.failed
+    counts = {check.name: check.counts for check in report.checks}
+    assert counts["parts"]["samples"] == 3
+    assert counts["part-laws"]["samples"] == 3 * len(PARTS)
+
+
+def test_with_noise_parts_are_of_what_the_clean_ray_met(tmp_path):
+    recipe = with_parts(*PARTS, noise={"stages": "spurious:0.1,dropout:0.2"})
+    found = dataset_in(tmp_path / "d", recipe)
+    assert not failed(found.folder)
+    sample = found.split("train")[0]
+    has_normal = np.linalg.norm(sample.return_normal, axis=-1) > 0.5
+    assert not (has_normal & ~np.isfinite(sample.ranges)).any()
+
+
+def test_normals_look_back_at_the_sensor():
+    sample = drawn_unit(with_parts("normals"), seed=1).samples[0]
+    rays, normals = sample.points() - sample.position, sample.return_normal
+    assert len(rays) > 20
+    assert ((normals[np.isfinite(sample.ranges)] * rays).sum(axis=1) < 0).all()
+
+
+def flipped(arrays):
+    arrays["return_normal"][1] *= -1
+
+
+def longer(arrays):
+    arrays["return_normal"][1] *= 1.1
+
+
+def of_nothing(arrays):
+    arrays["return_normal"][1][~np.isfinite(arrays["ranges"][1])] = 0.0, 0.0, 1.0
+
+
+def unowned(arrays):
+    arrays["voxel_geom"][1][arrays["occupancy"][1]] = -1
+
+
+def classless(arrays):
+    arrays["return_class"][1] = 0
+
+
+def of_no_class(arrays):
+    arrays["voxel_class"][1][arrays["occupancy"][1]] = 999
+
+
+def of_another_geom(arrays):
+    arrays["voxel_geom"][1][arrays["occupancy"][1]] += 1
+
+
+@pytest.mark.parametrize(
+    ("change", "check"),
+    [
+        (flipped, "parts"),
+        (longer, "part-laws"),
+        (of_nothing, "part-laws"),
+        (unowned, "part-laws"),
+        (classless, "part-laws"),
+        (of_no_class, "part-laws"),
+        (of_another_geom, "parts"),
+    ],
+)
+def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(folder, change, check):
+    forge.edit(folder, "train-00000.h5", change)
+    assert {check, "digest"} <= failed(folder).keys()
+
+
+def test_options_of_parts_make_a_dataset_with_them(tmp_path, small, capsys):
+    options = "--n 3 --val 0 --test 0 --workers 1 --quiet --labels group --normals"
+    done(capsys, f"generate --recipe {small} {options} -o {tmp_path}/d")
+    found = scenegen.load(tmp_path / "d")
+    assert found.describe()["return_normal"]["shape"] == (8, 24, 3)
+    assert found.describe()["voxel_geom"]["dtype"] == "int32"
+    assert found[0].voxel_class.max() == 1
+
+
+def test_a_part_that_nobody_knows_is_refused_by_name():
+    refuses("colour", scenegen.generate, "pillar", 1, out="x", colour=True)
+    refuses("expected one of class, name", scenegen.generate, "pillar", 1, out="x", labels="colour")

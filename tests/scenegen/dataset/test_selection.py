@@ -1,0 +1,243 @@
+"""Selections: what is taken is what a plain loop takes, and what is read is what was chosen."""
+
+import contextlib
+import hashlib
+import shutil
+
+import numpy as np
+import pytest
+
+from scenegen import SPLITS
+from scenegen.base.errors import DatasetError
+from scenegen.dataset.collection import open_data
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.selection import (
+    COLUMNS,
+    DIGEST_BYTES,
+    MEASURES,
+    SIGNS,
+    Choice,
+    Condition,
+    choose,
+    encode_measures,
+    encode_selection,
+    kept_measures,
+    measures_file,
+)
+from scenegen.view.inspect import inspect
+from tests.command_line import done, refused
+from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen import refuses
+from tests.scenegen.dataset import NASTY, put, samples_of
+
+
+@pytest.fixture(scope="session")
+def several(once):
+    """A folder of datasets of two kinds; not to be changed."""
+
+    def make(folder):
+        for seed, kind in enumerate(("pillar", "geometric")):
+            options = {"seed": seed, "counts": COUNTS, "shard_samples": 6}
+            dataset_in(folder / kind, small_recipe(kind), **options)
+
+    return once("several", make)
+
+
+@pytest.fixture
+def folder(several, tmp_path):
+    """A copy of it, to change."""
+    return shutil.copytree(several, tmp_path / "several")
+
+
+@pytest.fixture
+def written(folder, tmp_path):
+    """The file of a selection of pillar's samples, whose dataset may be changed."""
+    dataset = Dataset(folder / "pillar")
+    choice = Choice(splits=("train",), where=(Condition.of("viewpoint<2"),))
+    file = tmp_path / "few.json"
+    file.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
+    return file
+
+
+def with_conditions(*texts, **more):
+    return Choice(where=tuple(map(Condition.of, texts)), **more)
+
+
+CHOICES = {
+    "first": Choice(most=4),
+    "split": Choice(splits=("val", "test")),
+    "kind": Choice(kinds=("geometric",)),
+    "worlds": Choice(worlds=((0, 2), (3, 5))),
+    "numbers": with_conditions("sample<9", "viewpoint>=1"),
+    "measure": with_conditions("occupied>=0.02"),
+    "measures": with_conditions("returned>0.3", "range_m<4.5", most=5),
+    "mixed": with_conditions("occupied>=0.02", "sample<20", worlds=((1, 9),), most=3),
+}
+
+
+def plain_loop(dataset, choice):
+    """What a loop over all samples takes."""
+    taken = {}
+    for name in choice.splits:
+        split, numbers = dataset.split(name), []
+        for number, sample in enumerate(split):
+            values = {"sample": number, "world": sample.world, "viewpoint": sample.viewpoint}
+            values |= {measure: of(sample) for measure, of in MEASURES.items()}
+            in_worlds = [first <= sample.world < stop for first, stop in choice.worlds]
+            if (
+                (not choice.kinds or split.home(number).graded in choice.kinds)
+                and (not in_worlds or any(in_worlds))
+                and all(SIGNS[one.sign](values[one.name], one.value) for one in choice.where)
+            ):
+                numbers.append(number)
+        taken[name] = numbers[: choice.most]
+    return taken
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("choice", CHOICES.values(), ids=CHOICES)
+def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
+    dataset = open_data(folder)
+    if kept:
+        for one in dataset.datasets:
+            inspect(one, keep=True)
+    assert bool(kept_measures(dataset)) == kept
+    numbers = {name: own.tolist() for name, own in choose(dataset, choice).items()}
+    assert numbers == plain_loop(dataset, choice)
+    assert 0 < sum(map(len, numbers.values())) < 2 * sum(COUNTS.values())
+
+
+def test_workers_choose_the_same(several):
+    dataset, choice = open_data(several), CHOICES["measures"]
+    one, two = (choose(dataset, choice, workers=workers) for workers in (1, 2))
+    assert [own.tolist() for own in one.values()] == [own.tolist() for own in two.values()]
+
+
+def test_a_selection_reads_as_the_samples_that_were_chosen(several, tmp_path):
+    dataset, choice = open_data(several), CHOICES["mixed"]
+    numbers = choose(dataset, choice)
+    (tmp_path / "s.json").write_bytes(encode_selection(dataset, numbers, choice, tmp_path))
+    selection = open_data(tmp_path / "s.json")
+    for split in SPLITS:
+        every = samples_of(dataset, split)
+        assert samples_of(selection, split) == [every[n] for n in numbers[split]]
+        names = dataset.split(split).names
+        assert selection.split(split).names == [names[n] for n in numbers[split]]
+
+
+def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
+    shutil.rmtree(folder / "pillar")
+    dataset_in(folder / "pillar", seed=9, counts=COUNTS)
+    refuses("choose again", open_data, written)
+
+
+@pytest.mark.parametrize("numbers", ["[1, 0]", "[2, 2]", "[0, 11]", "[99999999999999999999]"])
+def test_numbers_that_do_not_rise_within_the_split_are_refused(written, numbers):
+    put(written, "datasets.0.samples.train", numbers)
+    with pytest.raises(DatasetError):
+        open_data(written)
+
+
+ENTRIES = "format version chosen_by datasets datasets.0 odd datasets.0.odd datasets.0.path "
+ENTRIES += "datasets.0.digest datasets.0.samples datasets.0.samples.train datasets.0.samples.all"
+
+
+@pytest.mark.parametrize("path", ENTRIES.split())
+def test_no_value_in_a_selection_ends_in_a_traceback(written, path):
+    good, expected = written.read_bytes(), samples_of(open_data(written), "train")
+    for value in NASTY:
+        written.write_bytes(good)
+        put(written, path, value)
+        with contextlib.suppress(DatasetError):
+            assert samples_of(open_data(written), "train") in (expected, [])
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b"{}", b"\0" * 99])
+def test_what_is_no_selection_is_refused(tmp_path, content):
+    (tmp_path / "s.json").write_bytes(content)
+    refuses(r"s\.json", open_data, tmp_path / "s.json")
+
+
+def test_the_command_writes_what_every_command_reads(several, tmp_path, capsys):
+    done(capsys, f"take {several} --kind geometric --n 4 --quiet -o {tmp_path}/four.json")
+    selection = open_data(tmp_path / "four.json")
+    assert [len(selection.split(split)) for split in SPLITS] == [4, 2, 4]
+    assert "geometric" in done(capsys, f"inspect {tmp_path}/four.json")
+
+
+def test_where_no_sample_is_as_asked_for_nothing_is_written(several, tmp_path, capsys):
+    refused(capsys, f"take {several} --kind cave -o {tmp_path}/none.json")
+    assert not (tmp_path / "none.json").exists()
+
+
+def test_means_over_a_world_are_chosen_by_where_measures_are_kept(folder):
+    dataset = Dataset(folder / "pillar")
+    choice = with_conditions("world_occupied>=0.02", splits=("train",))
+    refuses("inspect", choose, dataset, choice)
+    inspect(dataset, keep=True)
+    shares = {}
+    for sample in dataset.split("train"):
+        shares.setdefault(sample.world, []).append(sample.occupancy.mean())
+    dense = [world for world, own in shares.items() if np.mean(own) >= 0.02]
+    worlds, _ = dataset.split("train").numbers
+    assert (
+        choose(dataset, choice)["train"].tolist() == np.flatnonzero(np.isin(worlds, dense)).tolist()
+    )
+
+
+@pytest.fixture
+def kept(dataset):
+    """A dataset with its measures beside it."""
+    inspect(Dataset(dataset), keep=True)
+    return Dataset(dataset)
+
+
+def table_of(dataset):
+    return np.concatenate(list(kept_measures(dataset).values()))
+
+
+def test_kept_measures_are_those_of_the_samples(kept):
+    expected = [[of(one) for of in MEASURES.values()] for one in kept.split("train")]
+    assert np.array_equal(kept_measures(kept)["train"], expected, equal_nan=True)
+
+
+def test_an_edited_figures_file_is_measured_again(kept):
+    choice, before = with_conditions("occupied>=0.02"), measures_file(kept).read_bytes()
+    expected = choose(kept, choice)
+    for place in (len(before) // 2, len(before) - DIGEST_BYTES - 1, len(before) - 1):
+        edited = bytearray(before)
+        edited[place] ^= 1
+        measures_file(kept).write_bytes(edited)
+        assert kept_measures(kept) == {}
+        assert choose(kept, choice)["train"].tolist() == expected["train"].tolist()
+
+
+def test_figures_that_are_signed_and_false_are_refused(kept):
+    table = table_of(kept)
+    table[:, COLUMNS.index("occupied")] += 0.1
+    measures_file(kept).write_bytes(encode_measures(table))
+    refuses("measure again", lambda: choose(kept, with_conditions("occupied>=0.02")))
+
+
+def test_figures_of_another_shape_or_type_are_measured_again(kept):
+    table = table_of(kept)
+    for content in (encode_measures(table[1:]), b"", hashlib.sha256().digest(), b"x" * 999):
+        measures_file(kept).write_bytes(content)
+        assert kept_measures(kept) == {}
+
+
+@pytest.mark.parametrize("text", ["occupied", ">3", "weight>3", "occupied>>3", "free=1e"])
+def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text):
+    with pytest.raises(ValueError, match="expected a name, a sign and a number") as error:
+        Condition.of(text)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sign", "held"), [("<", ".4"), ("<=", ".4 .5"), (">", ".6"), (">=", ".5 .6"), ("=", ".5")]
+)
+def test_a_condition_says_what_its_sign_says(sign, held):
+    condition = Condition.of(f" range_m {sign} 1000001.5 ")
+    assert Condition.of(str(condition)) == condition
+    ends = ".4", ".5", ".6", "nan"
+    assert [end for end in ends if condition.holds(1000001 + float(end))] == held.split()

@@ -1,0 +1,223 @@
+"""The published folder: still the dataset, readable by everyone, whole or absent, and true to what
+it says."""
+
+import dataclasses
+import hashlib
+import json
+import re
+import shlex
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from scenegen.dataset.read import Dataset
+from scenegen.publish import stage as folder_module
+from scenegen.publish.stage import Request, stage
+from scenegen.view.inspect import inspect
+from tests.command_line import done
+from tests.conftest import COUNTS, contents, dataset_in, small_recipe
+from tests.scenegen import cases, refuses
+from tests.scenegen.conftest import names
+from tests.scenegen.verification.forge import edit_at
+
+CHECKS = (("files", "14 files hold"),)
+
+
+@pytest.fixture(scope="module")
+def out(made, tmp_path_factory):
+    """A published folder; not to be changed."""
+    out = tmp_path_factory.mktemp("publish") / "small-pillars"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(folder_module, "SHOWN", 2)
+        stage(Request(dataset=made, repository="ada/small-pillars", out=out), CHECKS)
+    return out
+
+
+def section(card, language, title):
+    """Code blocks of a language under a heading."""
+    body = card.partition(f"## {title}\n")[2].partition("\n## ")[0]
+    return re.findall(rf"```{language}\n(.*?)```", body, flags=re.DOTALL)
+
+
+def test_it_is_still_the_dataset_and_every_file_is_listed_with_its_digest(out, made):
+    there = contents(out)
+    assert there.items() >= contents(made).items()
+    listed = [line.split("  ") for line in there.pop("SHA256SUMS").decode().splitlines()]
+    assert {name: digest for digest, name in listed} == {
+        name: hashlib.sha256(content).hexdigest() for name, content in there.items()
+    }
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+
+
+def test_the_cards_own_lines_read_it_with_plain_h5py(out):
+    lines = section((out / "README.md").read_text(), "python", "Load it")[0]
+    assert len(lines.splitlines()) <= 10
+    assert "scenegen" not in lines
+    said = subprocess.run(
+        [sys.executable, "-c", lines], cwd=out.parent, capture_output=True, text=True, check=True
+    )
+    with h5py.File(out / "train-00000.h5") as shard:
+        seen, solid = shard["observed"][0].sum(), shard["occupancy"][0].sum()
+    assert said.stdout == f"{seen} of {solid} occupied voxels were observed\n"
+
+
+def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
+    import datasets
+
+    monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
+    found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
+    assert {name: len(split) for name, split in found.items()} == COUNTS
+    for split in ("train", "test"):
+        mine, theirs = Dataset(out).split(split)[-1], found[split][COUNTS[split] - 1]
+        for name in ("observed", "occupancy", "tudf", "ranges", "position", "world"):
+            value = np.asarray(getattr(mine, name))  # numpy's format has float32
+            assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), name
+
+
+def croissant_issues(out):
+    """What Croissant's own library has against the description."""
+    import mlcroissant
+
+    issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
+    return issues.errors | issues.warnings
+
+
+def test_croissant_is_valid_and_describes_what_is_there(out, made):
+    assert not croissant_issues(out)
+    plain = json.loads((out / "croissant.json").read_text())
+    assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"
+    about = "dataCollection dataBiases dataLimitations dataUseCases personalSensitiveInformation"
+    assert all(plain[f"rai:{name}"] for name in about.split())
+    files = {item["@id"]: item["sha256"] for item in plain["distribution"] if "sha256" in item}
+    for path in made.iterdir():
+        assert files[path.name] == hashlib.sha256(path.read_bytes()).hexdigest()
+    with h5py.File(out / "test-00000.h5") as shard:
+        described = {field["name"]: field for field in plain["recordSet"][2]["field"]}
+        assert set(described) == set(shard)
+        assert plain["recordSet"][2]["key"] == [{"@id": "test/sha256"}]
+        kinds = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}
+        for name, stored in shard.items():
+            shape = described[name].get("arrayShape", "")
+            assert shape == ",".join(map(str, stored.shape[1:]))
+            bits = "" if stored.dtype.kind == "b" else str(8 * stored.dtype.itemsize)
+            assert described[name]["dataType"] == kinds[stored.dtype.kind] + bits
+
+
+def test_the_card_says_what_the_files_hold(out, made):
+    card = (out / "README.md").read_text()
+    front = card.split("---\n")[1]
+    assert "license: cc-by-4.0" in front
+    assert '  - split: val\n    path: ["val-*.h5"]' in front
+    statistics = inspect(Dataset(made))["splits"]["train"]["statistics"]["occupied"]
+    mean, std = (100 * statistics[name] for name in ("mean", "std"))
+    assert f"| voxels occupied, % | {mean:.2f} ± {std:.2f} |" in card
+    assert Dataset(made).manifest.digest in card
+    assert "- files: 14 files hold" in card
+    with h5py.File(out / "train-00000.h5") as shard:
+        for name in shard:
+            assert f"| `{name}` | " in card
+    for shown in re.findall(r"!\[.*?\]\((.*?)\)", card):
+        assert (out / shown).read_bytes().startswith(b"\x89PNG")
+
+
+def test_its_command_makes_the_same_dataset(out, made, tmp_path, monkeypatch, capsys):
+    words = shlex.split(section((out / "README.md").read_text(), "", "Make it again")[0])
+    assert words == ["scenegen", "generate", "--like", "dataset.json", "--out", "small-pillars"]
+    monkeypatch.chdir(out)
+    done(capsys, *words[1:-1], tmp_path / "again", "--workers", 1)
+    assert Dataset(tmp_path / "again").digest == Dataset(made).digest
+
+
+def test_the_lock_has_the_versions_that_made_it(out, made):
+    software = dict(Dataset(made).manifest.software)
+    head, _, *lines = (out / "requirements.lock.txt").read_text().splitlines()
+    assert head.startswith(f"# scenegen {software.pop('scenegen')}, published with ")
+    del software["machine"]
+    assert dict(line.split("==") for line in lines) == software
+
+
+@pytest.mark.parametrize(("path", "value", "told"), cases("publish/stage"))
+def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, value, told):
+    edit_at(dataset, path, value)
+    refuses(told, stage, asked, CHECKS)
+    assert not asked.out.exists()
+
+
+def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
+    recipe, made, out = small_recipe("geometric"), tmp_path / "made", tmp_path / "out"
+    dataset_in(made, recipe, counts={"train": 4, "val": 0, "test": 1}, compact=True)
+    stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
+    card = (out / "README.md").read_text()
+    assert "split: val" not in card
+    assert "`free` and `tudf` follow from these" in card
+    assert "license: cc0-1.0" in card
+    assert not croissant_issues(out)
+    assert Dataset(out).split("test")[0].tudf.shape == recipe.grid.shape
+
+
+def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked):
+    stage(asked, CHECKS)
+    croissant = asked.out / "croissant.json"
+    date = '"datePublished": "2001-02-03"'  # as if begun on another day
+    croissant.write_text(re.sub('"datePublished": "[^"]*"', date, croissant.read_text()))
+    stage(asked, CHECKS)
+    first = contents(asked.out)
+    stage(asked, CHECKS)
+    assert contents(asked.out) == first
+    assert date in croissant.read_text()
+    assert names(asked.out.parent) == {asked.out.name}
+
+
+def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
+    stage(asked, CHECKS)
+    (asked.out / "notes.md").write_text("mine")
+    refuses(r"holds notes.md, which publish did not put there", stage, asked, CHECKS)
+    for out in (dataset, dataset / "inside", dataset.parent):
+        refuses(
+            "overlaps the dataset",
+            lambda out=out: stage(dataclasses.replace(asked, out=out), CHECKS),
+        )
+    assert Dataset(dataset).manifest.complete
+
+
+def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
+    shard = dataset / "val-00000.h5"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    refuses(r"val-00000.h5: is not the file that dataset.json", stage, asked, CHECKS)
+    assert list(asked.out.parent.iterdir()) == []
+
+
+def test_too_many_files_are_refused_with_what_helps(asked, monkeypatch):
+    monkeypatch.setattr("scenegen.publish.stage.MOST_FILES", 13)
+    refuses(
+        r"14 files, more than the 13 .* --shard-samples, which changes no", stage, asked, CHECKS
+    )
+
+
+def test_where_links_are_not_possible_files_are_copied(asked, monkeypatch):
+    def refuse(*args, **options):
+        raise OSError(18, "Invalid cross-device link")
+
+    linked = stage(asked, CHECKS).files
+    assert (asked.out / "train-00000.h5").stat().st_nlink == 2
+    monkeypatch.setattr(folder_module.os, "link", refuse)
+    assert stage(asked, CHECKS).files == linked
+    assert (asked.out / "train-00000.h5").stat().st_nlink == 1
+
+
+def test_a_collection_is_not_published(asked, dataset):
+    refuses(
+        "not a dataset", lambda: stage(dataclasses.replace(asked, dataset=dataset.parent), CHECKS)
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/x y", "--repo", "ada/x.git"]
+)
+def test_a_repository_that_cannot_be_one_is_refused(name, tmp_path):
+    refuses("expected user/name", Request, dataset=tmp_path, repository=name, out=tmp_path)

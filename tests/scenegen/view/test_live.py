@@ -1,0 +1,133 @@
+"""The page served: samples as they are, to who asks it by its own address, and lines about what is
+damaged."""
+
+import base64
+import gzip
+import http.client
+import json
+import socket
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from scenegen import SPLITS
+from scenegen.dataset.read import Dataset
+from scenegen.view.glb import surfaces
+from scenegen.view.look import Guess, look_into
+from scenegen.view.page import Live, packed
+from tests.command_line import refused
+from tests.scenegen import refuses
+from tests.scenegen.verification.forge import edit_manifest
+from tests.scenegen.view.test_page import HOSTILE, Seen
+
+
+@contextmanager
+def served(folder, **more):
+    folders = [folder] if isinstance(folder, Path) else folder
+    server = Live([Dataset(one, partial=True) for one in folders], **{"split": "train", **more})
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def ask(server, path, *, method="GET", **headers):
+    """Status, headers and content of an answer."""
+    link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)
+    try:
+        link.request(method, path, headers=headers)
+        answer = link.getresponse()
+        return answer.status, answer.headers, answer.read().decode()
+    finally:
+        link.close()
+
+
+def guessed(samples, index):
+    sample = samples[index]
+    return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf)]
+
+
+def test_samples_are_served_as_they_are_by_split_and_number(made):
+    dataset, more = Dataset(made), {"guesses": guessed, "methods": (HOSTILE,)}
+    with served(made, split="test", index=2, **more) as server:
+        status, headers, text = ask(server, "/")
+        assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+        assert "<script>alert" not in text
+        page = Seen(text)
+        splits = {name: len(dataset.split(name)) for name in SPLITS if len(dataset.split(name))}
+        datasets = [{"name": "pillar", "splits": splits}]
+        assert page.data()["live"] == {"datasets": datasets, "split": "test", "index": 2}
+        assert "default-src 'none'" in page.policy()
+        assert page.policy().endswith("; connect-src 'self'")
+        for split, number in (("train", 7), ("test", 0)):
+            status, headers, text = ask(server, f"/sample/0/{split}/{number}")
+            assert (status, headers["X-Content-Type-Options"]) == (200, "nosniff")
+            expected = packed(look_into(dataset.split(split), number, guessed))
+            assert json.loads(text) == json.loads(json.dumps(expected)) | {"notes": []}
+        strange = "0/train/11", "0/none/0", "0/train/-1", "1/train/0", "../../etc/passwd"
+        assert {ask(server, f"/sample/{path}")[0] for path in strange} == {404}
+        assert ask(server, "/", method="POST")[0] == 501
+
+
+def test_the_world_of_a_sample_is_served_in_its_maps_frame(made):
+    """What is not there is said."""
+    dataset = Dataset(made)
+    sample = dataset.split("test")[2]
+    with served(made, split="test") as server:
+        status, _, text = ask(server, "/world/0/test/2")
+        assert status == 200
+        packed = gzip.decompress(base64.b64decode(json.loads(text)["triangles"]))
+        corners = np.frombuffer(packed, "<f4").reshape(-1, 3)
+        world = dataset.compile("test", int(sample.world))
+        there = np.concatenate([solid.triangles.reshape(-1, 3) for solid in surfaces(world)])
+        assert_allclose(corners + sample.origin, there, atol=1e-5)
+        for path, told in (
+            ("/world/1/test/0", "no such dataset"),
+            ("/world/0/test/999", "the world is not shown: "),
+        ):
+            status, _, text = ask(server, path)
+            assert status == 404
+            assert json.loads(text)["error"].startswith(told)
+
+
+def test_a_stranger_s_name_is_refused(made):
+    with served(made) as server:
+        port = server.server_address[1]
+        own = (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:9000", "[::1]:9000")  # by SSH
+        strange = ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", "", "[::1")
+        for hosts, expected in ((own, 200), (strange, 403)):
+            for host in hosts:
+                status, _, text = ask(server, "/sample/0/train/0", Host=host)
+                assert (status, "points" in text) == (expected, expected == 200), host
+        assert not server.allows(socket.gethostname())  # it is served on the loopback alone
+
+
+def test_an_address_that_cannot_be_had_is_an_error(made, capsys):
+    with served(made) as server:
+        port = server.server_address[1]
+        refuses("another --port", lambda: Live([Dataset(made)], split="train", port=port))
+        for words, part in (
+            (f"--port {port}", "another --port"),
+            ("--host example.com", "no IP address"),
+            ("--index 99 --port 0", "--index 99"),
+        ):
+            assert part in refused(capsys, f"view {made} {words}")
+
+
+def test_what_is_damaged_is_told_and_the_rest_is_served(dataset):
+    (dataset / "train-00001.h5").unlink()  # samples 3 to 5
+    edit_manifest(dataset, complete=False, digest=None)
+    with served(dataset) as server:
+        status, _, text = ask(server, "/sample/0/train/4")
+        assert status == 404
+        assert "train-00001.h5" in json.loads(text)["error"]
+        status, _, text = ask(server, "/sample/0/train/6")
+        assert status == 200
+        assert "incomplete" in json.loads(text)["notes"][0]

@@ -1,0 +1,94 @@
+"""Every command that reads a dataset reads several, and some of their samples, as one."""
+
+import json
+
+import pytest
+import torch
+
+from scenegen.base.errors import DatasetError
+from scenegen.dataset.collection import open_data
+from scenegen.model.checkpoint import save_network
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
+from tests.command_line import code_of, done, rows
+from tests.conftest import contents, dataset_in
+from tests.refusals import refuses, refuses_command
+
+COUNTS = {"train": 4, "val": 2, "test": 4}
+COMMANDS = """
+inspect DATA
+verify DATA --quick --workers 1
+view DATA --html v.html --n 4 --weights n.safetensors
+render DATA --split test -o r.png
+world DATA 0 -o w.xml
+take DATA --split test --n 3 -o t.json
+convert DATA --to npz -o out
+complete DATA --weights n.safetensors -o out --device cpu
+bench DATA --quick --method returns --workers 1
+train DATA --epochs 1 --width 1 --out run --device cpu
+"""
+
+
+@pytest.fixture
+def here(once, tmp_path, monkeypatch):
+    """The working folder, with a collection of two datasets, the first samples of each of their
+    flights, and a network."""
+
+    def make(folder):
+        for seed, name in enumerate("ab"):
+            made = dataset_in(folder / "both" / name, seed=seed, counts=COUNTS)
+        torch.manual_seed(0)
+        network = Network(NetworkConfig(width=2, height=made.grid.shape[2]))
+        save_network(folder / "n.safetensors", network, made.grid, {})
+        chosen = "--where", "viewpoint=0", "-o", folder / "few.json"
+        assert code_of("take", folder / "both", *chosen, "--quiet") == 0
+
+    for path in once("collections", make).iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    torch.set_num_threads(1)
+    return tmp_path
+
+
+@pytest.mark.parametrize("data", ["both", "few.json"])
+@pytest.mark.parametrize("words", [words for (words,) in rows(COMMANDS)])
+def test_every_command_takes_it(here, capsys, words, data):
+    done(capsys, words.replace("DATA", data))
+
+
+@pytest.mark.parametrize(("data", "samples"), [("both", 20), ("few.json", 10)])
+def test_all_samples_are_converted(here, capsys, data, samples):
+    done(capsys, f"convert {data} --to npz -o out")
+    assert len([name for name in contents(here / "out") if name.endswith(".npz")]) == samples
+
+
+def test_a_selection_is_counted(here, capsys):
+    splits = json.loads(done(capsys, "inspect few.json --json"))["splits"]
+    assert [split["samples"] for split in splits.values()] == [4, 2, 4]
+
+
+@pytest.mark.parametrize("data", ["both", "few.json"])
+def test_worlds_are_numbered_through(here, capsys, data):
+    """Each dataset has two worlds to train with."""
+    done(capsys, f"world {data} 3 --split train -o w.xml")
+    done(capsys, "world both/b 1 --split train -o own.xml")
+    assert (here / "w.xml").read_bytes() == (here / "own.xml").read_bytes()
+
+
+def test_measures_are_kept_beside_one_dataset(here, capsys):
+    before = contents(here / "both")
+    refuses_command(capsys, "inspect few.json --keep --json")
+    assert contents(here / "both") == before
+
+
+def test_a_path_that_no_file_can_have_is_refused(here):
+    selection = json.loads((here / "few.json").read_text())
+    selection["datasets"][0]["path"] = "both/a\0"
+    (here / "odd.json").write_text(json.dumps(selection))
+    refuses("odd.json", open_data, "odd.json", error=DatasetError)
+
+
+def test_a_selection_of_a_selection_is_read(here, capsys):
+    done(capsys, "take few.json --split test --n 3 -o fewer.json")
+    digests = [sample.sha256() for sample in open_data("fewer.json").split("test")]
+    assert digests == [sample.sha256() for sample in open_data("few.json").split("test")][:3]
