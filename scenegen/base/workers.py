@@ -1,5 +1,5 @@
-"""Worker processes of this machine, which end when their parent ends, however it ends; and the rank of
-one of several equal jobs, from the environment.
+"""Worker processes of this machine, which end when their parent ends, however it ends; and the rank
+of one of several equal jobs, from the environment.
 
 `run` serves most callers; `guarded` calls a library that untrusted input may crash. The parent uses
 no threads, queues or locks for it, so that a signal may end it anywhere without a deadlock.

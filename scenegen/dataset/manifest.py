@@ -1,7 +1,8 @@
-"""The manifest, `dataset.json`: how it is read and written, and the objects that its tables describe.
+"""The manifest, `dataset.json`: how it is read and written, and the objects that its tables
+describe.
 
-`scenegen.dataset.schema` defines the file's schema. A manifest may come from an untrusted source: every value is checked before it is used, and
-no module is imported because a manifest names it.
+`scenegen.dataset.schema` defines the file's schema. A manifest may come from an untrusted source:
+every value is checked before it is used, and no module is imported because a manifest names it.
 """
 
 import difflib
