@@ -110,7 +110,7 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
 def _forge(folder: Path, unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
-    from scenegen.draw.unit import none_rejected
+    from scenegen.draw.draw import none_rejected
 
     number, spec = task
     (sample,) = unit.samples

@@ -12,9 +12,8 @@ import pyvista as pv
 
 from lidarsim import Pose, Scan
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, Solids
-from scenegen.draw.draw import draw_unit
+from scenegen.draw.draw import Unit, draw_unit
 from scenegen.draw.source import DrawnWorlds
-from scenegen.draw.unit import Unit
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import Recipe, preset
 from scenegen.worlds.world import solid

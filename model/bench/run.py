@@ -16,8 +16,7 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.base.errors import DatasetError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
-from scenegen.dataset.piece import Rows
-from scenegen.dataset.read import AnyDataset, Split
+from scenegen.dataset.read import AnyDataset, Rows, Split
 from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import Method, check_rows, tune
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, measure

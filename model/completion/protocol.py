@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.base.errors import ScenegenError
-from scenegen.draw.html import html_table
+from scenegen.draw.sample import html_table
 from scenegen.model.calibration import Calibration, StoredProbability, away_of, denial
 from scenegen.model.config import Thresholds
 from scenegen.model.targets import BUILT_IN, Target

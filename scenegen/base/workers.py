@@ -1,4 +1,5 @@
-"""Worker processes of this machine. They end when their parent ends, however it ends.
+"""Worker processes of this machine, which end when their parent ends, however it ends; and the rank
+of one of several equal jobs, from the environment.
 
 `run` serves most callers; `guarded` calls a library that untrusted input may crash. The parent uses
 no threads, queues or locks for it, so that a signal may end it anywhere without a deadlock.
@@ -14,7 +15,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,12 +26,53 @@ from scenegen.base.errors import (
     GenerationError,
     GuardError,
     ScenegenError,
+    short,
     told,
     whole_number,
 )
 from scenegen.base.executors import Begun, Executor, Function, Results, undone_if_stopped
 from scenegen.base.limits import MOST_WORKERS
-from scenegen.base.ranks import rank_of
+
+RANKS = (
+    ("SCENEGEN_RANK", "SCENEGEN_WORLD_SIZE"),
+    ("JOB_COMPLETION_INDEX", "SCENEGEN_WORLD_SIZE"),
+    ("RANK", "WORLD_SIZE"),
+    ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_COUNT"),
+    ("SLURM_PROCID", "SLURM_NTASKS"),
+)
+"""Environment variables of rank and world size. The first pair that is set counts: the user's own
+(for an indexed Job of Kubernetes only the size), then torchrun's, which starts several processes in
+a task of Slurm, then Slurm's job arrays and tasks."""
+
+
+def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
+    """Read rank and world size from the environment.
+
+    Args:
+        environment: Environment variables.
+
+    Returns:
+        Rank, from 0, and world size.
+
+    Raises:
+        DatasetError: if they are missing or invalid.
+    """
+    names = next((pair for pair in RANKS if set(pair) <= environment.keys()), None)
+    if names is None:
+        ways = ", or ".join(" and ".join(pair) for pair in RANKS)
+        raise DatasetError(f"--on rank: the environment tells no rank; set {ways}")
+    values = [environment[name] for name in names]
+    # a job array need not start at 0
+    first = environment.get("SLURM_ARRAY_TASK_MIN", "0") if "ARRAY" in names[0] else "0"
+    if all(value.isascii() and value.isdigit() for value in values):
+        rank, size = int(values[0]) - int(first), int(values[1])
+        if 0 <= rank < size:
+            return rank, size
+    raise DatasetError(
+        f"--on rank: {names[0]}={short(values[0])}, {names[1]}={short(values[1])}; expected whole "
+        "numbers, the first from 0 to one less than the second"
+    )
+
 
 PR_SET_PDEATHSIG = 1
 """Option of Linux's `prctl`: the signal that this process gets when its parent ends."""

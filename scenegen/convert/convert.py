@@ -15,8 +15,7 @@ from scenegen.base.files import claim, make_parent, remove_drafts, write_whole
 from scenegen.base.workers import ALONE
 from scenegen.convert import FORMATS, Choices
 from scenegen.convert.formats import Classed, OneEach
-from scenegen.dataset.piece import Rows
-from scenegen.dataset.read import AnyDataset
+from scenegen.dataset.read import AnyDataset, Rows
 from scenegen.draw.sample import Sample
 
 STATE = "convert.json"

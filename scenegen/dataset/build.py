@@ -18,8 +18,8 @@ from scenegen.base.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, 
 from scenegen.base.stores import Place
 from scenegen.base.workers import Local
 from scenegen.dataset import manifest
-from scenegen.dataset.contract import Manifest, schema_of
 from scenegen.dataset.layout import layout_of
+from scenegen.dataset.manifest import Manifest, schema_of
 from scenegen.dataset.parameters import mapping_entry, noise_entry, plain, sensor_entry
 from scenegen.dataset.placed import write_shard
 from scenegen.dataset.schema import RecipeEntry, SceneEntry

@@ -22,8 +22,7 @@ from scenegen.base.paths import DATA, check_type
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import is_remote
 from scenegen.dataset.locate import locate
-from scenegen.dataset.piece import Piece
-from scenegen.dataset.read import AnyDataset, Dataset, Split
+from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
 from scenegen.dataset.schema import NAME, Digest, SplitName
 
 

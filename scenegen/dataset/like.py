@@ -20,16 +20,23 @@ from scenegen.base.paths import check_type, type_of
 from scenegen.base.stores import Place
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.locate import locate
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
-from scenegen.draw.draw import samples_of, scans_from, truth_of
+from scenegen.draw.draw import (
+    FLIGHT,
+    Unit,
+    UnitKey,
+    none_rejected,
+    samples_of,
+    scans_from,
+    truth_of,
+)
 from scenegen.draw.source import DrawnWorlds, Source
-from scenegen.draw.unit import FLIGHT, Unit, UnitKey, none_rejected
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld

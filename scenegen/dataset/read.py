@@ -8,11 +8,13 @@ import os
 from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import cached_property, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,16 +24,65 @@ from scenegen import SPLITS
 from scenegen.base.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
-from scenegen.dataset.piece import Piece, advised
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
-from scenegen.draw.html import html_table
-from scenegen.draw.sample import Sample, Samples, Schema
+from scenegen.draw.sample import Sample, Samples, Schema, html_table
 from scenegen.worlds.mapping import Sensing
 
-if TYPE_CHECKING:  # worlds import MuJoCo
+if TYPE_CHECKING:
     from scenegen.worlds.world import AnyWorld
+
+
+def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
+    """Raise errors of a damaged dataset as DatasetErrors with its folder and advice.
+
+    Args:
+        folder: Folder of the dataset.
+        mark: Text between the folder and the message.
+        of: Classes of errors that are caught.
+    """
+    return raised_as(
+        DatasetError, f"{folder}{mark}", "; copy the dataset again, or generate it", of=of
+    )
+
+
+class Rows(NamedTuple):
+    """Samples of a split by number: a task for a worker."""
+
+    split: str
+    numbers: Sequence[int]
+
+    def __str__(self) -> str:
+        return f"{self.split} samples {self.numbers[0]} to {self.numbers[-1]}"
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Samples of a split that lie in one shard."""
+
+    dataset: "Dataset"
+    entry: ShardEntry
+    rows: Ints | None = None
+    """Rows of the shard, in order; None for all."""
+    first_world: int = 0
+    """Offset of world numbers, so that worlds of a collection have different numbers."""
+
+    def __len__(self) -> int:
+        return self.entry.samples if self.rows is None else len(self.rows)
+
+    def row(self, position: int) -> int:
+        """Row in the shard of the sample at a position in this piece."""
+        return position if self.rows is None else int(self.rows[position])
+
+    def names(self) -> Ints:
+        """World and viewpoint numbers of its samples, (2, N). Raises BrokenError."""
+        manifest, split = self.dataset.manifest, self.entry.split
+        rows = np.arange(self.entry.samples) if self.rows is None else self.rows
+        places = manifest.first_place(self.entry) + rows
+        world, viewpoint = manifest.numbering(split).name(places)
+        return np.array([world + self.first_world, viewpoint])
+
 
 MOST_OPEN = 64
 """Maximum number of open shards of a split in a process. HDF5 takes 1.4 MB for each, and half a

@@ -23,8 +23,7 @@ from scenegen.base.executors import chunked
 from scenegen.base.reading import read_bounded
 from scenegen.base.workers import run
 from scenegen.dataset.collection import SelectedDataset, SelectionFile, name_from
-from scenegen.dataset.piece import Piece
-from scenegen.dataset.read import AnyDataset, Dataset, Split
+from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
 from scenegen.draw.sample import Sample
 from scenegen.truth.difficulty import Difficulty, difficulty
 

@@ -24,10 +24,9 @@ from scenegen.base.stores import Place, create_at
 from scenegen.base.workers import Worker
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.schema import ShardEntry, stem_of
-from scenegen.draw.draw import compile_truth, draw_unit
+from scenegen.draw.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.draw.sample import DERIVED, FIELDS
 from scenegen.draw.source import Source
-from scenegen.draw.unit import Rejections, Unit, none_rejected
 from scenegen.worlds.recipe import Recipe
 
 _LEVEL = 1

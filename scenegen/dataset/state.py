@@ -17,8 +17,7 @@ from scenegen.base.files import disk_told, remove_drafts
 from scenegen.base.stores import Place, Store, names_at, read_at, remove_at
 from scenegen.base.workers import run
 from scenegen.dataset import manifest
-from scenegen.dataset.contract import Manifest
-from scenegen.dataset.manifest import total_digest
+from scenegen.dataset.manifest import Manifest, total_digest
 from scenegen.dataset.parameters import RAYS, differences, rays_digest, write_rays
 from scenegen.dataset.placed import (
     find_reports,

@@ -1,9 +1,12 @@
 """Draw one unit: draw a world, fly through it, scan it, and make its samples. This file holds the
-whole method."""
+whole method.
+"""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -14,17 +17,64 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
+from scenegen import SPLITS
 from scenegen.base.errors import GenerationError, RecipeError, raised_as
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
-from scenegen.draw.unit import FLIGHT, NOISE, WORLD, Rejections, Unit, UnitKey, none_rejected
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Route, fly, viewpoints
 from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.tables import named_noise
 from scenegen.worlds.world import AnyWorld, World
+
+WORLD, FLIGHT, NOISE = 0, 1, 2
+"""Streams of random numbers of a unit."""
+
+
+class UnitKey(NamedTuple):
+    """Key of a unit's random numbers."""
+
+    seed: int
+    """Seed of the dataset."""
+    split: str
+    """ "train", "val" or "test"."""
+    unit: int
+    """Number of the unit in its split."""
+
+    def rng(self, stream: int, attempt: int, *part: int) -> Generator:
+        """Random numbers of one purpose.
+
+        Args:
+            stream: `WORLD`, `FLIGHT` or `NOISE`.
+            attempt: Number of the draw.
+            part: Further parts of the key, such as the number of a view.
+        """
+        key = SPLITS.index(self.split), self.unit, attempt, stream, *part
+        # a stream for each purpose: more noise, for example, must not change the worlds
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+
+Rejections = Mapping[str, Counter[str]]
+"""Number of rejected draws by reason, of `worlds` and of `viewpoints`."""
+
+
+def none_rejected() -> Rejections:
+    """Empty counts of rejected draws."""
+    return {"worlds": Counter(), "viewpoints": Counter()}
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """One flight: its world and samples."""
+
+    number: int
+    """Number of the world in its split."""
+    world: AnyWorld
+    samples: tuple[Sample, ...]
+    rejected: Rejections
+
 
 Truth = dict[str, np.ndarray]
 """Fields with the true content of a viewpoint's map, and which of it is known, by name."""

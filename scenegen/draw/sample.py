@@ -1,6 +1,7 @@
-"""One sample: its record, which is also the schema on disk."""
+"""One sample: its record, which is also the schema on disk; and how notebooks show it."""
 
 import hashlib
+import html
 import operator
 import sys
 from abc import abstractmethod
@@ -14,10 +15,21 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
 from scenegen.base.errors import DatasetError, lacking, short
-from scenegen.draw.html import html_table
 
 if TYPE_CHECKING:
     from scenegen.draw.tensors import TensorSamples
+
+
+def html_table(rows: Iterable[Sequence[object]], title: object) -> str:
+    """Make an HTML table for notebooks. All text is escaped.
+
+    Args:
+        rows: Cells of each row.
+        title: Text above the table.
+    """
+    lines = ("".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<p>{html.escape(str(title))}</p><table>{body}</table>"
 
 
 def _stored(

@@ -14,8 +14,8 @@ from typing import Any
 
 from lidarsim.engines import ENGINES, MUJOCO
 from scenegen.base.files import Json
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import DIGEST
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, VERSION, pattern_of
 from scenegen.publish import LICENCES
 from scenegen.view.inspect import TITLES

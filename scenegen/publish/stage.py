@@ -20,9 +20,9 @@ from scenegen.base.errors import DatasetError, PublishError, raised_as, short
 from scenegen.base.executors import commit
 from scenegen.base.files import make_parent, real_path, whole_folder, write_whole
 from scenegen.dataset import manifest
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.like import check_same
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, VERSION
 from scenegen.dataset.selection import kept_measures, measures_file

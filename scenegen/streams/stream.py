@@ -17,7 +17,7 @@ from scenegen.base.errors import DatasetError, short, whole_number
 from scenegen.base.files import Json
 from scenegen.base.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.base.reading import sha256_of
-from scenegen.dataset.contract import schema_of
+from scenegen.dataset.manifest import schema_of
 from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.draw.sample import Sample, Samples, Schema, rng_of
 from scenegen.draw.source import DrawnWorlds

@@ -19,8 +19,8 @@ from lidarsim.registry import Registry
 from lidarsim.solids import Solids
 from scenegen.base.errors import BrokenError, SceneError, raised_as
 from scenegen.dataset.archive import open_archive, referred
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import ShardFile
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.sample import rng_of
 from scenegen.verification.rays import MapAuditor

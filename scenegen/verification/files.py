@@ -12,7 +12,7 @@ from scenegen.base.files import names_in
 from scenegen.base.reading import sha256_in, world_digest
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
-from scenegen.dataset.contract import Manifest
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, ShardEntry, stem_of
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import Ledger, Page

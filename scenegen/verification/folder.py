@@ -15,9 +15,9 @@ from scenegen.base.mirrors import fetch
 from scenegen.base.reading import size_of
 from scenegen.base.workers import Limited, Local
 from scenegen.dataset.collection import open_data
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
 from scenegen.draw.draw import draw_unit
 from scenegen.draw.sample import FIELDS

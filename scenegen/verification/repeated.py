@@ -13,13 +13,12 @@ from lidarsim.noise import VERSION
 from scenegen import GENERATOR
 from scenegen.base.errors import BrokenError, GenerationError, RecipeError, SceneError, raised_as
 from scenegen.base.executors import software
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.like import scan_again
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
-from scenegen.draw.draw import draw_unit, scans_from, with_noise
+from scenegen.draw.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
 from scenegen.draw.sample import FIELDS, rng_of
 from scenegen.draw.source import DrawnWorlds, SceneWorlds
-from scenegen.draw.unit import Unit, UnitKey
 from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import Page

@@ -15,8 +15,8 @@ from scenegen import SPLITS
 from scenegen.base.errors import BrokenError, GuardError, raised_as
 from scenegen.base.limits import GUARD_BYTES, GUARD_S
 from scenegen.base.workers import guarded
-from scenegen.dataset.contract import Manifest
 from scenegen.dataset.layout import Layout, ShardFile, open_shard
+from scenegen.dataset.manifest import Manifest
 from scenegen.verification.check import Check, Sample, Worlds
 from scenegen.verification.report import Page
 from scenegen.worlds.place import map_digest

@@ -13,7 +13,7 @@ from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
 from scenegen.base.errors import BrokenError, raised_as
 from scenegen.base.reading import sha256_of
-from scenegen.dataset.contract import Manifest
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
 from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen import SPLITS
-from scenegen.dataset.contract import Manifest
+from scenegen.dataset.manifest import Manifest
 from scenegen.verification.check import Check, Sample
 from scenegen.verification.report import Page
 

@@ -9,8 +9,8 @@ import pytest
 
 from scenegen.base.errors import GenerationError
 from scenegen.base.executors import executor, identity
-from scenegen.base.ranks import rank_of
 from scenegen.base.ray import sent, taken
+from scenegen.base.workers import rank_of
 from scenegen.dataset.build import build
 from tests.conftest import COUNTS, contents, plan_of
 from tests.scenegen import cases, refuses

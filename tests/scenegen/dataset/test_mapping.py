@@ -12,7 +12,7 @@ from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.read import Dataset
-from scenegen.draw.unit import UnitKey
+from scenegen.draw.draw import UnitKey
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.mapping import Mapper

@@ -12,9 +12,9 @@ from lidarsim import MujocoEngine, Pose
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.schema import NAME
+from scenegen.draw.draw import UnitKey
 from scenegen.draw.sample import GROUPS
 from scenegen.draw.source import read_scenes
-from scenegen.draw.unit import UnitKey
 from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS

@@ -5,8 +5,8 @@ import pytest
 
 from lidarsim import Lidar, MujocoEngine, Pose
 from scenegen.dataset.like import plan_like, scan_again
+from scenegen.draw.draw import UnitKey
 from scenegen.draw.sample import GROUPS
-from scenegen.draw.unit import UnitKey
 from scenegen.worlds.world import compile_world
 from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.conftest import built
