@@ -38,7 +38,12 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     with ledger.checking("manifest") as page:
         page.count(files=1)
         with raised_as(BrokenError, f"{NAME}: ", of=BrokenError):
-            parsed = manifest.parse(content, folder, kind)
+            try:
+                parsed = manifest.parse(content, folder, kind)
+            except BrokenError:
+                raise
+            except DatasetError as error:  # of another version, or no manifest
+                raise DatasetError(f"{folder}: {NAME} {error}") from None
             if kind is not None:
                 if kind != parsed.kind:
                     raise DatasetError(
