@@ -38,10 +38,11 @@ grid = {shape = [16, 16, 16]}
 FORGET = """
 import sys
 from pathlib import Path
+from msgspec.structs import replace
 from scenegen.dataset import manifest
-from scenegen.dataset.manifest import load
 folder = Path(sys.argv[1])
-manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
+whole = manifest.load(folder)
+manifest.write(folder, replace(whole, shards=(), complete=False, digest=None))
 """
 """Takes the list of shards out of a manifest."""
 OPEN = "import scenegen, sys; scenegen.load(sys.argv[1])[0].ranges"

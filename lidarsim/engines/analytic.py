@@ -157,7 +157,9 @@ class AnalyticEngine:
         """Cast rays, and tell which geoms they met.
 
         Args:
-            origins, directions, max_range_m: As for `cast`.
+            origins: As for `cast`.
+            directions: As for `cast`.
+            max_range_m: As for `cast`.
             through: As for `hits`.
 
         Returns:
@@ -181,7 +183,9 @@ class AnalyticEngine:
         meshes and height fields by theirs.
 
         Args:
-            origins, directions, max_range_m: As for `cast`.
+            origins: As for `cast`.
+            directions: As for `cast`.
+            max_range_m: As for `cast`.
             through: (P,): the part, see `parts`, that the rays of each pose pass through; -1 for
                 none.
 

@@ -63,7 +63,9 @@ class VoxelEngine:
         The last result is cached, so `cross` after `cast` of the same rays is free.
 
         Args:
-            origins, directions, max_range_m: As for `cast`.
+            origins: As for `cast`.
+            directions: As for `cast`.
+            max_range_m: As for `cast`.
 
         Returns:
             Ranges as `cast` gives them; and metres of unknown space before the return, or within
@@ -85,7 +87,9 @@ class VoxelEngine:
         It walks only as far as a "no" needs; after a "yes", `cross` of the same rays is free.
 
         Args:
-            origins, directions, max_range_m: As for `cast`.
+            origins: As for `cast`.
+            directions: As for `cast`.
+            max_range_m: As for `cast`.
             most_unknown_m: A ray that crosses more metres of unknown space than this is marked.
             most_share: The greatest share of marked rays.
 

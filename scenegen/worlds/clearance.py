@@ -68,7 +68,9 @@ class Clearance:
         """Compute the distance from a point to the nearest solid.
 
         Args:
-            x, y, z: The point, metres.
+            x: The point along x, metres.
+            y: Along y, metres.
+            z: Along z, metres.
 
         Returns:
             Metres, at most `CAP_M`; 0 inside a solid.

@@ -40,7 +40,9 @@ class Parts:
         solids.
 
         Args:
-            x, y, z: The frame's origin, metres.
+            x: The frame's origin along x, metres.
+            y: Along y, metres.
+            z: Along z, metres.
             yaw_rad: Its turn, counter-clockwise seen from above.
 
         Returns:
