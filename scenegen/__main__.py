@@ -17,7 +17,8 @@ COMMANDS = {
     "Datasets": {
         "scenegen.cli.generate": "generate recipe",
         "scenegen.cli.take": "take",
-        "scenegen.cli.datasets": "verify publish",
+        "scenegen.cli.verify": "verify",
+        "scenegen.cli.publish": "publish",
         "scenegen.cli.convert": "convert world map ingest",
     },
     "Sensors": {"scenegen.cli.scan": "sensors scan"},

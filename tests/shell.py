@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 COMMON = """
-scenegen.cli.generate scenegen.cli.datasets scenegen.cli.datasets
+scenegen.cli.generate scenegen.cli.verify scenegen.cli.publish
 scenegen.cli.convert scenegen.draw.draw scenegen.verification.folder
 scenegen.cli.bench scenegen.model.bench.run
 lidarsim.engines.mujoco h5py numba ompl.base ompl.geometric scipy.ndimage trimesh
