@@ -29,7 +29,7 @@ class Fusion:
     most: float = number(0.971, above=0.5, below=1)
     """With log-odds: the greatest probability that is kept; log-odds of -2 and 3.5 are the paper's
     bounds."""
-    occupied: float = number(0.5, least=0.5, below=1)
+    occupied: float = number(0.5, minimum=0.5, below=1)
     """With log-odds: the probability from which on a voxel is observed, and not free."""
 
     def __post_init__(self) -> None:

@@ -17,10 +17,10 @@ Ints = NDArray[np.int64]
 """Indices and counts."""
 Vector = tuple[float, float, float]
 """x, y and z."""
-MOST_EDGE = 8192
+MAX_EDGE = 8192
 """Voxels along an axis: distances are computed on rows of whole slices, padded by the
 truncation."""
-MOST_REACH = 1000
+MAX_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
 
@@ -93,9 +93,9 @@ class GridSpec:
     0.5) * voxel_m``.
     """
 
-    shape: tuple[int, int, int] = number((80, 80, 40), least=1, most=MOST_EDGE)
+    shape: tuple[int, int, int] = number((80, 80, 40), minimum=1, maximum=MAX_EDGE)
     """Voxels along x, y and z."""
-    voxel_m: float = number(0.2, least=1e-3, most=1e3)
+    voxel_m: float = number(0.2, minimum=1e-3, maximum=1e3)
     """Edge of a voxel, metres."""
     truncation_m: float = number(2.0, above=0)
     """Distance at which distance fields on this grid saturate, metres."""
@@ -105,9 +105,9 @@ class GridSpec:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.truncation_m > MOST_REACH * self.voxel_m:
+        if self.truncation_m > MAX_REACH * self.voxel_m:
             raise ValueError(
-                f"truncation_m = {self.truncation_m}: expected {MOST_REACH} voxels of "
+                f"truncation_m = {self.truncation_m}: expected {MAX_REACH} voxels of "
                 f"{self.voxel_m} m at most"
             )
 

@@ -10,17 +10,17 @@ from dataclasses import dataclass, field
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-MOST_RAYS = 1_000_000
+MAX_RAYS = 1_000_000
 """The most rays of one scan."""
-LEAST_RANGE_M, MOST_RANGE_M = 1e-3, 1e4
+MIN_RANGE_M, MAX_RANGE_M = 1e-3, 1e4
 """Bounds of a sensor's range, metres. Ranges are stored in float32, which here still resolves
 millimetres."""
 MIN_RETURN_M = 0.1
 """The minimum range of unknown sensors, metres: nearer points are the carrier, or rays without a
 return."""
-MOST_LENGTH_M = 1e6
+MAX_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
-MOST_TRIANGLES = 5_000_000
+MAX_TRIANGLES = 5_000_000
 """The most triangles of a world's meshes and height fields, each counted as often as a geom uses
 it: 360 MB."""
 
@@ -29,9 +29,9 @@ BOUNDS = "bounds"
 """Key of a field's metadata for its `Bounds`."""
 FILE = "file"
 """Key of the metadata of fields for which a table may give the path of a file."""
-MOST_TEXT = 300
+MAX_TEXT = 300
 """The most characters of a sensor's description of itself."""
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 """The most characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}
 
@@ -40,9 +40,9 @@ _COUNTED = {2: "two", 3: "three", 4: "four"}
 class Bounds:
     """The values that a number, or each number of a tuple, may have. All must be finite."""
 
-    least: float = -math.inf
+    minimum: float = -math.inf
     """The least value allowed."""
-    most: float = math.inf
+    maximum: float = math.inf
     """The greatest value allowed."""
     above: float = -math.inf
     """The value must be greater than this."""
@@ -60,7 +60,9 @@ class Bounds:
             finite = math.isfinite(value)
         except OverflowError:  # a whole number beyond all floats
             return False
-        inside = finite and self.least <= value <= self.most and self.above < value < self.below
+        inside = (
+            finite and self.minimum <= value <= self.maximum and self.above < value < self.below
+        )
         return inside and (not self.whole or float(value).is_integer())
 
     def __str__(self) -> str:
@@ -84,13 +86,13 @@ class Bounds:
             else _COUNTED.get(count, str(count))
         )
         phrase = f"a {phrase}" if count == 1 else f"{rising} {phrase}s"
-        if math.isfinite(self.least) and math.isfinite(self.most):
-            return f"{phrase} from {self.least:.12g} to {self.most:.12g}"
+        if math.isfinite(self.minimum) and math.isfinite(self.maximum):
+            return f"{phrase} from {self.minimum:.12g} to {self.maximum:.12g}"
         bounds = {
             "above": self.above,
-            "at least": self.least,
+            "at least": self.minimum,
             "below": self.below,
-            "at most": self.most,
+            "at most": self.maximum,
         }
         limits = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
         return f"{phrase} {' and '.join(limits)}".rstrip()
@@ -144,16 +146,16 @@ def check(
             value = _read(raw, kind, bounds)
         except _UnfitError:
             example = (
-                f", such as {shown(item.default)}"
+                f", such as {short_repr(item.default)}"
                 if isinstance(item.default, tuple) and item.default
                 else ""
             )
             raise ValueError(
-                f"{item.name} = {shown(raw)}: expected {_words(kind, bounds)}{example}"
+                f"{item.name} = {short_repr(raw)}: expected {_words(kind, bounds)}{example}"
             ) from None
         if item.name.endswith("_deg") and isinstance(value, float) and (turn := _radians(value)):
             raise ValueError(
-                f"{item.name} = {shown(raw)}: is {turn} degrees in radians; expected degrees"
+                f"{item.name} = {short_repr(raw)}: is {turn} degrees in radians; expected degrees"
             )
         # frozen dataclasses are checked, too
         if value is not raw:
@@ -183,22 +185,22 @@ def check_text(name: str, text: str) -> None:
         text: The text.
 
     Raises:
-        ValueError: If it has more than `MOST_TEXT` characters, or unprintable ones.
+        ValueError: If it has more than `MAX_TEXT` characters, or unprintable ones.
     """
-    if len(text) > MOST_TEXT or not text.isprintable():
+    if len(text) > MAX_TEXT or not text.isprintable():
         raise ValueError(
-            f"{name} = {shown(text)}: expected {MOST_TEXT} printable characters at most"
+            f"{name} = {short_repr(text)}: expected {MAX_TEXT} printable characters at most"
         )
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """Represent a value in an error's line: escaped, tuples as lists, cut if it is long."""
     try:
         text = ascii(list(value) if isinstance(value, tuple) else value)
         text = " ".join(map(str.strip, text.splitlines()))  # an array has several lines
     except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
         return f"a value of type {type(value).__name__}"
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 class _UnfitError(Exception):

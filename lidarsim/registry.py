@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-MOST_NAMED = 100
+MAX_NAMED = 100
 """Characters of a name that an error repeats."""
-MOST_SUGGESTED = 4
+MAX_SUGGESTED = 4
 """The most names that an error suggests."""
 
 
@@ -61,7 +61,7 @@ class Registry:
             chosen = getattr(imported, attribute)
         except AttributeError:
             where = getattr(imported, "__file__", None) or "no file"
-            hint = suggestion(attribute, _defined(imported) or ["nothing"])[: 2 * MOST_NAMED]
+            hint = suggestion(attribute, _defined(imported) or ["nothing"])[: 2 * MAX_NAMED]
             raise ValueError(f"{self.what} {name}: {where} has no {attribute}; {hint}") from None
         self.check(chosen, name)
         return chosen
@@ -69,7 +69,7 @@ class Registry:
     def unknown(self, name: str) -> str:
         """Word the error for an unknown `name`, with a suggestion."""
         hint = suggestion(name, self.builtin)
-        return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
+        return f"unknown {self.what} {name[:MAX_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:
         """Check that an object has every attribute of `needs`.
@@ -134,9 +134,9 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     known = list(known)
     plain = name.lower().replace("-", "")
     near = [entry for entry in known if plain and plain in entry.replace("-", "")]
-    if not 0 < len(near) <= MOST_SUGGESTED:
+    if not 0 < len(near) <= MAX_SUGGESTED:
         # cut, for the comparison takes quadratic time
-        near = difflib.get_close_matches(name[:MOST_NAMED], known, n=1)
+        near = difflib.get_close_matches(name[:MAX_NAMED], known, n=1)
     return f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(known)}"
 
 

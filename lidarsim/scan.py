@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines import Caster
 from lidarsim.grid import Field, Floats, Mask
-from lidarsim.parameters import MIN_RETURN_M, MOST_LENGTH_M
+from lidarsim.parameters import MAX_LENGTH_M, MIN_RETURN_M
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
 
@@ -104,11 +104,11 @@ def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
         min_range_m: The sensor's minimum range, metres.
 
     Returns:
-        Whether each range is finite, above 0, not below `min_range_m`, and below `MOST_LENGTH_M`.
+        Whether each range is finite, above 0, not below `min_range_m`, and below `MAX_LENGTH_M`.
     """
     # comparisons are False for NaN, and infinity exceeds the limit
     metres = np.asarray(ranges)
-    return np.asarray((metres > 0) & (metres >= min_range_m) & (metres < MOST_LENGTH_M))
+    return np.asarray((metres > 0) & (metres >= min_range_m) & (metres < MAX_LENGTH_M))
 
 
 def are_returns(

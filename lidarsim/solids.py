@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
-from lidarsim.parameters import MOST_LENGTH_M, MOST_TRIANGLES
+from lidarsim.parameters import MAX_LENGTH_M, MAX_TRIANGLES
 
 if TYPE_CHECKING:  # reading datasets must not load it
     import mujoco
@@ -156,7 +156,7 @@ class ModelSolids:
     """The solids of a model. Shapes are read once, places whenever its data move.
 
     Raises ValueError if a geom's shape has no closed form here (a signed distance field's), if
-    numbers are not finite or exceed `MOST_LENGTH_M`, or if there are more than `MOST_TRIANGLES`."""
+    numbers are not finite or exceed `MAX_LENGTH_M`, or if there are more than `MAX_TRIANGLES`."""
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
@@ -200,7 +200,7 @@ class ModelSolids:
 
         Raises:
             ValueError: If `data` were never forwarded or are another model's, or if places are not
-                finite or exceed `MOST_LENGTH_M`.
+                finite or exceed `MAX_LENGTH_M`.
         """
         if data.geom_xpos.shape != (self._model.ngeom, 3):
             raise ValueError(
@@ -278,11 +278,11 @@ def colours(model: mujoco.MjModel) -> Floats:
 
 def _check_numbers(model: mujoco.MjModel, field: str, values: Floats, seen: Mask) -> None:
     """Raise ValueError if a visible geom's `values` (ngeom, n) are not finite, or too large."""
-    bad = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # False for NaN, too
+    bad = seen & ~(np.abs(values) <= MAX_LENGTH_M).all(axis=1)  # False for NaN, too
     if bad.any():
         value = values[np.argmax(bad)].tolist()
         raise ValueError(
-            f"geom {_name(model, bad)}: {field} = {value}, expected numbers up to {MOST_LENGTH_M:g}"
+            f"geom {_name(model, bad)}: {field} = {value}, expected numbers up to {MAX_LENGTH_M:g}"
         )
 
 
@@ -300,17 +300,17 @@ def _check_shapes(model: mujoco.MjModel, seen: Mask) -> None:
         ("a height field's size", model.hfield_size),
         ("a height field's heights", model.hfield_data),
     ):
-        if not (np.abs(values) <= MOST_LENGTH_M).all():
-            raise ValueError(f"{source}: expected finite numbers, up to {MOST_LENGTH_M:g}")
+        if not (np.abs(values) <= MAX_LENGTH_M).all():
+            raise ValueError(f"{source}: expected finite numbers, up to {MAX_LENGTH_M:g}")
     triangles = int(
         model.mesh_facenum[model.geom_dataid[seen & (model.geom_type == MESH)]].sum(dtype=np.int64)
     )
     # two triangles a cell for the surface, as many for the base; walls fit into the margin
     for field in model.geom_dataid[seen & (model.geom_type == HFIELD)]:
         triangles += 4 * int(model.hfield_nrow[field]) * int(model.hfield_ncol[field])
-    if triangles > MOST_TRIANGLES:
+    if triangles > MAX_TRIANGLES:
         raise ValueError(
-            f"meshes and height fields of {triangles} triangles, expected {MOST_TRIANGLES} at "
+            f"meshes and height fields of {triangles} triangles, expected {MAX_TRIANGLES} at "
             f"most; use coarser ones"
         )
 

@@ -12,7 +12,7 @@ from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
 from lidarsim.grid import Floats, GridSpec, Mask, finite
 from lidarsim.jit import kernel
-from lidarsim.parameters import shown
+from lidarsim.parameters import short_repr
 from lidarsim.scan import Scan
 
 TOUCH_M = 1e-9
@@ -66,7 +66,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> Obs
         ValueError: If `scan` is not a Scan, or `origin` is not three finite numbers.
     """
     if not isinstance(scan, Scan):
-        raise ValueError(f"scan = {shown(scan)}: expected a Scan, such as lidarsim.cast gives")
+        raise ValueError(f"scan = {short_repr(scan)}: expected a Scan, such as lidarsim.cast gives")
     position = scan.pose.position
     corner = finite("origin", grid.origin_at(position) if origin is None else origin, 3)
     directions = scan.directions.reshape(-1, 3)

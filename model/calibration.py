@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Field, Floats, Mask
-from lidarsim.parameters import check, number
-from scenegen.base.errors import short
+from lidarsim.parameters import check, number, short_repr
 from scenegen.base.files import Json
 
 KEY = "calibration"
@@ -27,7 +26,7 @@ on; in between, its logarithm is linear."""
 class Calibration:
     """A network's calibration. Raises ValueError for numbers that cannot be one."""
 
-    worlds: int = number(least=1)
+    worlds: int = number(minimum=1)
     """Validation worlds that it was computed from."""
     class_weight: float = number(above=0)
     """The weight of occupied voxels in the loss by which the network was trained."""
@@ -67,7 +66,7 @@ class Calibration:
             return cls(**entry)
         except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(
-                f"its calibration is damaged ({short(error)}); calibrate it again"
+                f"its calibration is damaged ({short_repr(error)}); calibrate it again"
             ) from None
 
     def chance(self, probability: Field | None, away: Any) -> Field | None:

@@ -16,9 +16,10 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as, short
-from scenegen.base.files import Json, write_whole
-from scenegen.base.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, ScenegenError, printable, reraise_as
+from scenegen.base.files import Json, write_atomic
+from scenegen.base.limits import MAX_HEADER_BYTES, MAX_WEIGHTS_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.model.config import NetworkConfig, is_own
 from scenegen.model.network import build
@@ -44,18 +45,18 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Json) -> Non
     plain = {  # copies, for two names may share one tensor
         name: tensor.detach().cpu().clone(memory_format=whole) for name, tensor in tensors.items()
     }
-    write_whole(path, save(plain, {"header": json.dumps(header)}))
+    write_atomic(path, save(plain, {"header": json.dumps(header)}))
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
     """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else, and
     for tensors that hold NaN or infinity."""
-    with raised_as(CheckpointError, of=DatasetError):
-        content = read_bounded(path, MOST_WEIGHTS_BYTES)
+    with reraise_as(CheckpointError, of=DatasetError):
+        content = read_bounded(path, MAX_WEIGHTS_BYTES)
     length = int.from_bytes(content[:8], "little")
     try:
-        if length > MOST_HEADER_BYTES:
-            raise ValueError(f"a header of {length} bytes, expected {MOST_HEADER_BYTES} at most")
+        if length > MAX_HEADER_BYTES:
+            raise ValueError(f"a header of {length} bytes, expected {MAX_HEADER_BYTES} at most")
         text = json.loads(content[8 : 8 + length])["__metadata__"]["header"] if length else "{}"
         header, tensors = dict(json.loads(text)), load(content)
     except (SafetensorError, ValueError, TypeError, KeyError, RecursionError) as error:
@@ -148,7 +149,7 @@ def current_settings(network: Json) -> Json:
     """
     network = {"targets": [], "channels": [], **network}
     if (stride := network.pop("stem_stride", STEM_STRIDE)) != STEM_STRIDE:
-        raise ValueError(f"stem_stride = {short(stride)}: networks have {STEM_STRIDE}")
+        raise ValueError(f"stem_stride = {short_repr(stride)}: networks have {STEM_STRIDE}")
     return network
 
 

@@ -11,18 +11,18 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from lidarsim.parameters import Checked, check, number
+from lidarsim.parameters import Checked, check, number, short_repr
 from lidarsim.registry import Registry, suggestion
-from scenegen.base.errors import ScenegenError, raised_as, short
+from scenegen.base.errors import ScenegenError, reraise_as
 from scenegen.base.limits import (
-    MOST_BATCH,
-    MOST_CLASSES,
-    MOST_EPOCHS,
-    MOST_FEATURES,
-    MOST_HEIGHT,
-    MOST_MAPS,
-    MOST_SEED,
-    MOST_WIDTH,
+    MAX_BATCH,
+    MAX_CLASSES,
+    MAX_EPOCHS,
+    MAX_FEATURES,
+    MAX_HEIGHT,
+    MAX_MAPS,
+    MAX_SEED,
+    MAX_WIDTH,
 )
 
 BUNDLED = Path(__file__).parent / "weights"
@@ -120,7 +120,7 @@ def target_name(name: str) -> str:
 
 def named(registry: Registry, name: str) -> Any:
     """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
-    with raised_as(ScenegenError):
+    with reraise_as(ScenegenError):
         return registry.find(name)
 
 
@@ -154,13 +154,13 @@ class NetworkConfig:
     return, alone); one's own as module:function."""
     targets: tuple[str, ...] = ()
     """Names of what it predicts besides its variant's tasks; one's own as module:Class."""
-    channels: tuple[int, ...] = number((), least=1, most=MOST_CLASSES)
+    channels: tuple[int, ...] = number((), minimum=1, maximum=MAX_CLASSES)
     """How many channels each of these has; `train` takes it from the data."""
-    width: int = number(8, least=1, most=MOST_WIDTH)
+    width: int = number(8, minimum=1, maximum=MAX_WIDTH)
     """Channels at the first level; they double from level to level (paper)."""
-    heads: int = number(4, least=1)
+    heads: int = number(4, minimum=1)
     """Heads of the self-attention (ours)."""
-    height: int = number(40, least=2**LEVELS, most=MOST_HEIGHT)
+    height: int = number(40, minimum=2**LEVELS, maximum=MAX_HEIGHT)
     """Voxels of a map from bottom to top, for variants that see columns whole and for one's own;
     `train` takes it from the data."""
 
@@ -172,12 +172,12 @@ class NetworkConfig:
                 if not is_own(name) and name not in registry.builtin:
                     raise ValueError(registry.unknown(name))
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
-            raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
+            raise ValueError(f"inputs = {short_repr(self.inputs)}: expected one or more, each once")
         targets = [*map(target_name, self.targets)]
         taken = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
         own = {*map(target_name, filter(is_own, self.targets))}
         if len(set(targets)) < len(targets) or taken & {*targets} or TAKEN & own:
-            raise ValueError(f"targets = {short(self.targets)}: expected new names, each once")
+            raise ValueError(f"targets = {short_repr(self.targets)}: expected new names, each once")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
@@ -200,10 +200,10 @@ class NetworkConfig:
                 f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no "
                 f"others"
             )
-        if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MOST_FEATURES:
+        if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MAX_FEATURES:
             raise ValueError(
                 f"maps of {shape} voxels at width {features}: expected "
-                f"{MOST_FEATURES // features} voxels at most; give a smaller grid or --width"
+                f"{MAX_FEATURES // features} voxels at most; give a smaller grid or --width"
             )
 
 
@@ -214,19 +214,19 @@ class LossConfig:
 
     objective: str = "coupled"
     """The paper's, which the weights below are of, or one's own as module:Object."""
-    occupancy: float = number(0.1, least=0)
+    occupancy: float = number(0.1, minimum=0)
     """lambda_occ (paper)."""
-    tudf: float = number(1.0, least=0)
+    tudf: float = number(1.0, minimum=0)
     """lambda_tudf (paper)."""
-    eikonal: float = number(0.05, least=0)
+    eikonal: float = number(0.05, minimum=0)
     """lambda_eik (paper)."""
-    occupied_weight: float = number(5.0, least=0)
+    occupied_weight: float = number(5.0, minimum=0)
     """w^o of occupied voxels; free ones have 1 (paper)."""
-    lovasz: float = number(0.0, least=0)
+    lovasz: float = number(0.0, minimum=0)
     """Weight of the IoU's Lovász hinge beside the cross-entropy (ours; the paper has none)."""
-    near_weight: float = number(2.0, least=0)
+    near_weight: float = number(2.0, minimum=0)
     """w^t of voxels near a surface; others have 1 (paper)."""
-    near_m: float = number(0.5, least=0)
+    near_m: float = number(0.5, minimum=0)
     """How near, metres (paper)."""
     beta_m: float = number(1.0, above=0)
     """Where Smooth-L1 turns from a parabola into a line, metres (ours)."""
@@ -244,19 +244,19 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
-    epochs: int = number(100, least=1, most=MOST_EPOCHS)
+    epochs: int = number(100, minimum=1, maximum=MAX_EPOCHS)
     """Passes over the maps, at most (ours)."""
-    maps: int | None = number(None, least=1, most=MOST_MAPS)
+    maps: int | None = number(None, minimum=1, maximum=MAX_MAPS)
     """Maps seen, at most; where it is given, the number of passes follows from it (ours)."""
-    interval: int | None = number(None, least=1, most=MOST_MAPS)
+    interval: int | None = number(None, minimum=1, maximum=MAX_MAPS)
     """Maps between two looks at validation; a pass over all maps unless given (ours)."""
-    batch: int = number(8, least=1, most=MOST_BATCH)
+    batch: int = number(8, minimum=1, maximum=MAX_BATCH)
     """Maps a step, over all devices (ours)."""
     optimizer: Literal["muon", "adamw"] = "muon"
     """What makes a step of a gradient; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate after the warm-up (ours)."""
-    warmup_share: float = number(0.02, least=0, below=1)
+    warmup_share: float = number(0.02, minimum=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     schedule: Literal["decay", "constant"] = "decay"
     """How the learning rate falls. "decay": it stays level until validation stalls or the budget
@@ -264,13 +264,13 @@ class TrainConfig:
     falls and has no warm-up; training ends where validation stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
-    weight_decay: float = number(0.01, least=0)
+    weight_decay: float = number(0.01, minimum=0)
     """Weight decay (ours)."""
     decay_all: bool = False
     """Whether weight decay shrinks biases and the scales of norms, too (ours)."""
     clip: float = number(1.0, above=0)
     """Largest norm of a step's gradient (ours)."""
-    patience: int = number(10, least=1)
+    patience: int = number(10, minimum=1)
     """Rounds without a lower validation loss after which validation has stalled (paper: epochs)."""
     choose: Literal["loss", "occupancy", "last"] = "loss"
     """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy
@@ -278,10 +278,10 @@ class TrainConfig:
     augment: bool = True
     """Whether maps are turned about the sensor at random, and mirrored where its rays allow it
     (ours)."""
-    points_share: float = number(0.0, least=0, most=1)
+    points_share: float = number(0.0, minimum=0, maximum=1)
     """Share of maps that are shown as points alone, so that rays without a return free nothing;
     maps of several scans stay as they are (ours)."""
-    seed: int = number(0, least=0, most=MOST_SEED)
+    seed: int = number(0, minimum=0, maximum=MAX_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where
@@ -321,9 +321,9 @@ PROTOCOLS: dict[str, dict[str, Any]] = {
 class Thresholds(Checked):
     """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
 
-    probability: float = number(0.85, least=0, most=1)
+    probability: float = number(0.85, minimum=0, maximum=1)
     """A voxel is occupied above this probability."""
-    distance_m: float = number(0.2, least=0)
+    distance_m: float = number(0.2, minimum=0)
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
 
 
@@ -345,29 +345,29 @@ class PlanConfig(Checked):
     """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too,
     and the start's own voxel is, since a hovering robot is there; ways are weighed by their risk;
     where the refined path is riskier than that of A*, A*'s stands (ours)."""
-    step_voxels: int = number(3, least=1)
+    step_voxels: int = number(3, minimum=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone
     (ours)."""
     careful_probability: float = number(0.95, above=0, below=1)
     """The careful planner holds a voxel occupied whose probability is greater than this (ours)."""
-    unseen_risk: float = number(0.2, least=0, below=1)
+    unseen_risk: float = number(0.2, minimum=0, below=1)
     """The least risk of a voxel that no ray has crossed, to the careful planner, whatever its
     probability (ours)."""
-    risk_weight: float = number(10.0, least=0)
+    risk_weight: float = number(10.0, minimum=0)
     """How many metres of detour the careful planner prefers to one metre through a probability of 1
     (ours)."""
-    safety_m: float = number(1.0, least=0)
+    safety_m: float = number(1.0, minimum=0)
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without
     a value; ours)."""
-    clearance_weight: float = number(1.0, least=0)
+    clearance_weight: float = number(1.0, minimum=0)
     """lambda_c, of the squared clearance deficit against the squared second differences, both in
     m^2 (paper)."""
     field: Literal["predicted", "transform"] = "predicted"
     """What the refinement reads: the distances of the prediction, where it has some, or the
     transform of its occupancy (ours)."""
-    iterations: int = number(50, least=0)
+    iterations: int = number(50, minimum=0)
     """Steps of gradient descent (paper)."""
 
 
@@ -377,11 +377,11 @@ class BenchConfig(Checked):
 
     split: Literal["train", "val", "test"] = "test"
     """The split that is measured; calibration looks at val."""
-    samples: int | None = number(None, least=1)
+    samples: int | None = number(None, minimum=1)
     """At most this many of the split's samples, evenly spread; None for all."""
-    trials: int = number(2000, least=1)
+    trials: int = number(2000, minimum=1)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
-    seed: int = number(0, least=0)
+    seed: int = number(0, minimum=0)
     """Seed of goals and permutations."""
     reliability: bool = False
     """Whether the report tells how reliable probabilities are, too."""

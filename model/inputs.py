@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.voxelization import sort_points
-from scenegen.base.errors import DatasetError, told
+from scenegen.base.errors import DatasetError, as_own_code_error
 from scenegen.draw.sample import Sample
 from scenegen.model.config import INPUTS, is_own, named
 from scenegen.truth import distance_field
@@ -33,7 +33,7 @@ class PointScan:
     """
 
     points: Floats
-    """(N, 3): returns within `MOST_LENGTH_M` of the origin, metres, in a level frame."""
+    """(N, 3): returns within `MAX_LENGTH_M` of the origin, metres, in a level frame."""
     position: Floats
     """(3,): where the sensor is in that frame, metres."""
     grid: GridSpec
@@ -104,7 +104,7 @@ def input_called(name: str) -> Channel:
         try:
             values = np.asarray(function(seen, grid, sensor), np.float32)
         except Exception as error:  # a loader process hands over no traceback
-            raise told(error) from None
+            raise as_own_code_error(error) from None
         if values.shape != grid.shape or not np.isfinite(values).all():
             raise DatasetError(
                 f"input {name}: gives an array of shape {values.shape}, expected finite numbers "

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor, nn
 
 from lidarsim.grid import Field, GridSpec
-from scenegen.base.errors import GuardError, needs, printable, raised_as
+from scenegen.base.errors import GuardError, needs, printable, reraise_as
 from scenegen.base.files import Json, check_ours, write_result
-from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MAX_WEIGHTS_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.base.workers import guarded
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
@@ -59,8 +59,8 @@ def load_onnx(
     Raises CheckpointError, too, where its weights or what it gives are NaN, and where no installed
     runtime runs it within the limits.
     """
-    content = read_bounded(path, MOST_WEIGHTS_BYTES)
-    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
+    content = read_bounded(path, MAX_WEIGHTS_BYTES)
+    with reraise_as(CheckpointError, f"{path}: ", of=CheckpointError):
         file = _examined(content, runtime)
     check_own(path, own, *file.config.inputs, *file.config.targets)
     run = _open(content, file, threads)
@@ -173,7 +173,7 @@ def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
     for tensor in tensors:
         name = printable(tensor.name)[:100] or "a constant"
         damaged = (ValueError, TypeError, KeyError)
-        with raised_as(CheckpointError, f"{name} is damaged (", "); export it again", of=damaged):
+        with reraise_as(CheckpointError, f"{name} is damaged (", "); export it again", of=damaged):
             values = onnx.numpy_helper.to_array(tensor) if tensor.data_type else np.zeros(0)
         if values.dtype.kind == "V":  # bfloat16 and shorter types, which NumPy does not have
             values = values.astype(np.float32)
@@ -309,6 +309,6 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
     model = program.model_proto
     model.metadata_props.append(onnx.StringStringEntryProto(key=HEADER, value=json.dumps(header)))
     content = model.SerializeToString()
-    with raised_as(CheckpointError, f"variant {network.config.variant}: ", of=CheckpointError):
+    with reraise_as(CheckpointError, f"variant {network.config.variant}: ", of=CheckpointError):
         read_graph(content)
     write_result(path, content)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
-from scenegen.base.errors import DatasetError, ScenegenError, raised_as, short, told
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, ScenegenError, as_own_code_error, reraise_as
 from scenegen.draw.sample import Sample
 from scenegen.model.config import TARGETS, is_own, named, target_name
 from scenegen.model.inputs import turned
@@ -40,9 +41,9 @@ class Target:
     """The array of a prediction that holds it, where that is not called like the target."""
     meaning = "finite numbers"
     """What a prediction holds in every voxel, for errors."""
-    least = -np.inf
+    minimum = -np.inf
     """The least value of a prediction."""
-    most = np.inf
+    maximum = np.inf
     """The greatest value of a prediction."""
 
     @abstractmethod
@@ -80,7 +81,7 @@ class Target:
 class Occupancy(Target):
     """Whether a voxel is occupied; outputs are logits."""
 
-    part, meaning, least, most = "occupancy_probability", "a probability from 0 to 1", 0.0, 1.0
+    part, meaning, minimum, maximum = "occupancy_probability", "a probability from 0 to 1", 0.0, 1.0
 
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
         """Bool."""
@@ -106,7 +107,7 @@ class Occupancy(Target):
 class Tudf(Target):
     """The distance to the nearest occupied voxel's centre, metres."""
 
-    part, meaning, least = "tudf", "a distance of at least 0", 0.0
+    part, meaning, minimum = "tudf", "a distance of at least 0", 0.0
 
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
         """Float32, truncated."""
@@ -143,7 +144,7 @@ def target_called(name: str) -> Target:
     Raises ScenegenError for a name that leads to none.
     """
     kind = named(TARGETS, name)
-    with raised_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
+    with reraise_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
         target: Target = kind()
     if not isinstance(target, Target):
         raise ScenegenError(f"target {name}: expected a subclass of scenegen.model.targets.Target")
@@ -168,7 +169,7 @@ def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
     try:
         truth = np.asarray(target.truth(sample, grid))
     except Exception as error:  # a loader process hands over no traceback
-        raise told(error) from None
+        raise as_own_code_error(error) from None
     if truth.shape[-3:] != grid.shape or truth.ndim > 4 or truth.dtype.kind not in "fiub":
         raise DatasetError(
             f"target {name}: gives an array of {truth.dtype} of shape {truth.shape}, expected "
@@ -186,15 +187,16 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
     try:
         first, *others = [channels(settings) for settings in parts]
     except Exception as error:
-        line = f"{type(error).__name__}: {short(str(error))}"
+        line = f"{type(error).__name__}: {short_repr(str(error))}"
         raise DatasetError(
             f"target {name}: finds no number of channels in the dataset's parts ({line}); is it "
             "one with --labels?"
         ) from None
     if any(other != first for other in others):
         raise DatasetError(
-            f"target {name}: datasets differ in its channels, {short(first)} and "
-            f"{short(next(other for other in others if other != first))}; train on datasets that "
+            f"target {name}: datasets differ in its channels, {short_repr(first)} and "
+            f"{short_repr(next(other for other in others if other != first))}; train on "
+            "datasets that "
             "share them"
         )
     return first if isinstance(first, int) else len(first)

@@ -12,7 +12,7 @@ from lidarsim.jit import kernel
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a voxel."""
-LEAST_CHORD_M = 1e-4
+MIN_CHORD_M = 1e-4
 """A ray meets an occupied voxel if it runs this far in it. The middle of that chord then lies in
 the voxel also after the range is rounded to float32, up to a kilometre."""
 
@@ -80,7 +80,7 @@ class VoxelEngine:
         directions: ArrayLike,
         max_range_m: float,
         most_unknown_m: float = math.inf,
-        most_share: float = 1.0,
+        max_share: float = 1.0,
     ) -> bool:
         """Test whether few rays cross much unknown space.
 
@@ -91,10 +91,10 @@ class VoxelEngine:
             directions: As for `cast`.
             max_range_m: As for `cast`.
             most_unknown_m: A ray that crosses more metres of unknown space than this is marked.
-            most_share: The greatest share of marked rays.
+            max_share: The greatest share of marked rays.
 
         Returns:
-            Whether the share of marked rays is at most `most_share`.
+            Whether the share of marked rays is at most `max_share`.
         """
         starts, rays = rays_of(origins, directions, max_range_m)
         shape, query = rays.shape[:-1], (starts, rays, np.array(max_range_m))
@@ -111,12 +111,12 @@ class VoxelEngine:
                 ranges.reshape(len(starts), count),
                 unknown.reshape(len(starts), count),
                 float(most_unknown_m),
-                float(most_share),
+                float(max_share),
                 shape[-1],
             ):
                 return False
             self._last = *query, ranges, unknown
-        return bool((self._last[-1] > most_unknown_m).mean() <= most_share)
+        return bool((self._last[-1] > most_unknown_m).mean() <= max_share)
 
 
 @kernel
@@ -203,7 +203,7 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, max_unknow
                 unknown += min(crossing, max_range_m) - t
                 if unknown > max_unknown_m:
                     break
-            elif crossing - t >= LEAST_CHORD_M:
+            elif crossing - t >= MIN_CHORD_M:
                 middle = t + 0.5 * (crossing - t)
                 return (middle if middle <= max_range_m else math.inf), unknown
         t = max(t, crossing)

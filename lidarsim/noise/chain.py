@@ -17,7 +17,7 @@ from lidarsim.sensors import Sensor
 DATASHEET = "datasheet"
 NONE = "none"
 """The words for the sensor's own `noise`, and for no noise."""
-MOST_STAGES = 20
+MAX_STAGES = 20
 """The most stages of a chain."""
 SUCH_AS = '"range:0.02,dropout:0.05"'
 
@@ -32,8 +32,8 @@ class Noise:
     """The faults, first to last."""
 
     def __post_init__(self) -> None:
-        if len(self.stages) > MOST_STAGES:
-            raise ValueError(f"noise: {len(self.stages)} stages, expected {MOST_STAGES} at most")
+        if len(self.stages) > MAX_STAGES:
+            raise ValueError(f"noise: {len(self.stages)} stages, expected {MAX_STAGES} at most")
         # orders must not fall, and only order 2 may repeat
         for before, stage in zip(self.stages, self.stages[1:], strict=False):
             if stage.order < max(before.order, 2 * (before.order == stage.order)):

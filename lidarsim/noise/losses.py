@@ -46,7 +46,7 @@ class Loss(Fault):
 class Dropout(Loss):
     """Every return is lost with the same probability."""
 
-    share: float = number(0.05, least=0, most=1)
+    share: float = number(0.05, minimum=0, maximum=1)
     """The probability."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
@@ -62,9 +62,9 @@ class Dropout(Loss):
 class Far(Loss):
     """A return at range r is lost with probability ``share · (r / max_range_m)^power``."""
 
-    share: float = number(0.5, least=0, most=1)
+    share: float = number(0.5, minimum=0, maximum=1)
     """The probability at the sensor's greatest range."""
-    power: float = number(2.0, least=0, most=10)
+    power: float = number(2.0, minimum=0, maximum=10)
     """How it grows: 1 evenly, 2 with the square."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
@@ -93,7 +93,7 @@ class Grazing(Loss):
     """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all
     at 90°, and with a probability that grows evenly between."""
 
-    from_deg: float = number(75.0, least=0, below=90)
+    from_deg: float = number(75.0, minimum=0, below=90)
     """Angle between ray and normal from which returns are lost, degrees."""
 
     def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
@@ -123,9 +123,9 @@ class Faint(Fault):
     standard normal.
     """
 
-    range_m: float = number(40.0, above=0, most=1e4)
+    range_m: float = number(40.0, above=0, maximum=1e4)
     """The range of a target of 10 % reflectivity, metres, as data sheets have it."""
-    softness: float = number(0.05, least=0, most=1)
+    softness: float = number(0.05, minimum=0, maximum=1)
     """How much that range varies from return to return, as a share of it."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
@@ -149,7 +149,7 @@ class Spurious(Fault):
     """Returns of dust, rain or glare: with probability `share` a ray returns from anywhere before
     what it would have met, evenly along its way."""
 
-    share: float = number(0.001, least=0, most=1)
+    share: float = number(0.001, minimum=0, maximum=1)
     """The probability, of every ray."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
@@ -180,17 +180,17 @@ class Motion(Fault):
     """
 
     order = 0
-    forward_mps: float = number(1.0, least=-1000, most=1000)
+    forward_mps: float = number(1.0, minimum=-1000, maximum=1000)
     """Speed along the body's x axis, metres a second."""
-    left_mps: float = number(0.0, least=-1000, most=1000)
+    left_mps: float = number(0.0, minimum=-1000, maximum=1000)
     """Speed along its y axis."""
-    up_mps: float = number(0.0, least=-1000, most=1000)
+    up_mps: float = number(0.0, minimum=-1000, maximum=1000)
     """Speed along its z axis."""
-    yaw_rate_deg_s: float = number(0.0, least=-3600, most=3600)
+    yaw_rate_deg_s: float = number(0.0, minimum=-3600, maximum=3600)
     """How fast it turns, counter-clockwise seen from above, degrees a second."""
     corrected: bool = False
     """Whether the sensor knows where each ray was cast."""
-    poses: int = number(100, least=1, most=10_000)
+    poses: int = number(100, minimum=1, maximum=10_000)
     """Poses that the scan is divided into: rays between two are cast from one in their middle."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
@@ -214,7 +214,9 @@ class Motion(Fault):
                 directions[group] = rotate(view.pose.quaternion, turned)
         ranges = view.cast(origins, directions)[None]
         reported = (
-            {"told_origins": origins, "told_directions": directions} if self.corrected else {}
+            {"reported_origins": origins, "reported_directions": directions}
+            if self.corrected
+            else {}
         )
         return returns.but(ranges=ranges, origins=origins, directions=directions, **reported)
 

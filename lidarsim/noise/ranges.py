@@ -52,11 +52,11 @@ class Range(Spread):
     """Normal noise along the ray, of standard deviation ``sigma_m + share · r + quadratic_per_m ·
     r²``."""
 
-    sigma_m: float = number(0.02, least=0, most=1)
+    sigma_m: float = number(0.02, minimum=0, maximum=1)
     """The constant part, metres."""
-    share: float = number(0.0, least=0, most=1)
+    share: float = number(0.0, minimum=0, maximum=1)
     """The part that grows with the range, metres a metre."""
-    quadratic_per_m: float = number(0.0, least=0, most=1)
+    quadratic_per_m: float = number(0.0, minimum=0, maximum=1)
     """The part that grows with its square, 1/metres."""
 
     def sigma(self, ranges: Floats, view: View | None = None) -> Floats:
@@ -85,7 +85,7 @@ class Depth(Spread):
     moves along its ray. It means nothing for a sensor that looks all around.
     """
 
-    quadratic_per_m: float = number(0.01, least=0, most=1)
+    quadratic_per_m: float = number(0.01, minimum=0, maximum=1)
     """Standard deviation of depth over its square, 1/metres: 0.005 is 2 % at 4 m."""
 
     def sigma(self, ranges: Floats, view: View) -> Floats:
@@ -112,7 +112,7 @@ class Depth(Spread):
 class Quantise(Fault):
     """Ranges in whole steps."""
 
-    step_m: float = number(0.01, above=0, most=1)
+    step_m: float = number(0.01, above=0, maximum=1)
     """The step, metres."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
@@ -134,7 +134,7 @@ class Quantise(Fault):
 class Near(Fault):
     """Nothing returns from nearer than the sensor can see."""
 
-    min_range_m: float = number(0.3, least=0, most=1000)
+    min_range_m: float = number(0.3, minimum=0, maximum=1000)
     """The least range, metres."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
@@ -168,14 +168,14 @@ class Divergence(Fault):
     """
 
     order = 1
-    mrad: float = number(3.0, above=0, most=100)
+    mrad: float = number(3.0, above=0, maximum=100)
     """Full angle of the cone, thousandths of a radian."""
     returns: Literal["strongest", "first", "last", "dual"] = "strongest"
     """Which echo is told; `dual` tells the strongest and the last, where they differ. Of equally
     strong ones the nearest is the strongest."""
-    rays: int = number(9, least=2, most=1000)
+    rays: int = number(9, minimum=2, maximum=1000)
     """Rays a beam."""
-    resolution_m: float = number(0.3, least=0, most=100)
+    resolution_m: float = number(0.3, minimum=0, maximum=100)
     """How far apart two surfaces must be to be told apart, metres: half the length of the pulse."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:

@@ -198,10 +198,10 @@ class Returns:
     """(*shape, 3): where every ray began, in the world."""
     directions: Floats
     """(*shape, 3): unit vectors of the rays, in the world."""
-    told_origins: Floats
+    reported_origins: Floats
     """(*shape, 3): where the ray began as the sensor reports it; other than `origins` if it moves
     without knowing."""
-    told_directions: Floats
+    reported_directions: Floats
     """(*shape, 3): the ray's direction as the sensor reports it."""
     intensity: Floats | None = None
     """(echoes, *shape), from 0 to 1; None unless a stage adds it."""
@@ -217,7 +217,10 @@ class Returns:
         """Compute the returns' points of one echo as the sensor reports them, (M, 3) in the world,
         in ray order."""
         hit = np.isfinite(self.ranges[echo])
-        return self.told_origins[hit] + self.ranges[echo][hit][:, None] * self.told_directions[hit]
+        return (
+            self.reported_origins[hit]
+            + self.ranges[echo][hit][:, None] * self.reported_directions[hit]
+        )
 
     def but(self, **changes: Floats) -> "Returns":
         """Replace fields; the intensity becomes 0 where nothing returns any more."""
@@ -356,7 +359,7 @@ class Intensity(Fault):
     """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as
     sensors' own is, with normal noise of `sigma`, from 0 to 1."""
 
-    sigma: float = number(0.0, least=0, most=1)
+    sigma: float = number(0.0, minimum=0, maximum=1)
     """Standard deviation of the noise."""
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from lidarsim.parameters import shown
+from lidarsim.parameters import short_repr
 from lidarsim.registry import Registry
 
 if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
@@ -89,6 +89,6 @@ def check_sensor(sensor: object) -> None:
     """
     if isinstance(sensor, type) or not hasattr(sensor, "max_range_m"):
         raise ValueError(
-            f"sensor = {shown(sensor)}: expected an object, such as lidarsim.Lidar() or "
+            f"sensor = {short_repr(sensor)}: expected an object, such as lidarsim.Lidar() or "
             f"lidarsim.sensors.catalogue.VLP_16"
         )

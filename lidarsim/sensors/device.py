@@ -10,10 +10,10 @@ import numpy as np
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
 from lidarsim.parameters import (
-    LEAST_RANGE_M,
-    MOST_RANGE_M,
-    MOST_RAYS,
-    MOST_TEXT,
+    MAX_RANGE_M,
+    MAX_RAYS,
+    MAX_TEXT,
+    MIN_RANGE_M,
     check,
     check_text,
     number,
@@ -41,14 +41,14 @@ class Device:
     noise: str = ""
     """Its faults by that document, as a chain of `lidarsim.noise`: what `--noise datasheet`
     adds."""
-    max_range_m: float = number(100.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
+    max_range_m: float = number(100.0, minimum=MIN_RANGE_M, maximum=MAX_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
-    min_range_m: float = number(0.0, least=0, most=MOST_RANGE_M)
+    min_range_m: float = number(0.0, minimum=0, maximum=MAX_RANGE_M)
     """Nearest return, metres. Clean scans hold nearer ones, too; the noise stage `near` takes them
     out."""
-    pitch_deg: float = number(0.0, least=-90, most=90)
+    pitch_deg: float = number(0.0, minimum=-90, maximum=90)
     """How far the sensor is turned nose down as a rigid body, degrees."""
-    lever_arm_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), least=-100, most=100)
+    lever_arm_m: tuple[float, float, float] = number((0.0, 0.0, 0.0), minimum=-100, maximum=100)
     """Where the sensor is on the body, x y z in the body frame, metres."""
 
     def __post_init__(self) -> None:
@@ -60,9 +60,9 @@ class Device:
                 f"min_range_m = {self.min_range_m:g}: expected less than max_range_m = "
                 f"{self.max_range_m:g}"
             )
-        if not 0 < math.prod(self.shape) <= MOST_RAYS:
+        if not 0 < math.prod(self.shape) <= MAX_RAYS:
             raise ValueError(
-                f"{' × '.join(map(str, self.shape))} rays: expected from 1 to {MOST_RAYS}"
+                f"{' × '.join(map(str, self.shape))} rays: expected from 1 to {MAX_RAYS}"
             )
 
     @property
@@ -109,7 +109,7 @@ class Device:
         phrase = f"{self.name or type(self).__name__.lower()}({', '.join(changed)})".removesuffix(
             "()"
         )
-        return phrase if len(phrase) <= MOST_TEXT else f"{phrase[: MOST_TEXT - 3]}..."
+        return phrase if len(phrase) <= MAX_TEXT else f"{phrase[: MAX_TEXT - 3]}..."
 
     def __str__(self) -> str:
         tilt = f", {self.pitch_deg:g}° nose down" if self.pitch_deg else ""

@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
-from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
+from lidarsim.parameters import MAX_RANGE_M, MAX_RAYS, MIN_RANGE_M, check, number
 from lidarsim.sensors.device import Device, nose_down, pointing
 
 
@@ -32,17 +32,17 @@ class Lidar:
         "Observations"
     )
     error: ClassVar[str] = "The full turn and the rigid tilt are how we read the paper"
-    rows: int = number(16, least=1, most=MOST_RAYS)
+    rows: int = number(16, minimum=1, maximum=MAX_RAYS)
     """Lines, one elevation each."""
-    columns: int = number(120, least=1, most=MOST_RAYS)
+    columns: int = number(120, minimum=1, maximum=MAX_RAYS)
     """Rays a line, one azimuth each."""
-    vertical_fov_deg: float = number(60.0, least=0, most=180)
+    vertical_fov_deg: float = number(60.0, minimum=0, maximum=180)
     """Angle between the lowest and the highest line, degrees."""
-    horizontal_fov_deg: float = number(360.0, least=0, most=360)
+    horizontal_fov_deg: float = number(360.0, minimum=0, maximum=360)
     """Angle swept in azimuth, degrees."""
-    pitch_deg: float = number(30.0, least=-90, most=90)
+    pitch_deg: float = number(30.0, minimum=-90, maximum=90)
     """How far the sensor looks down from the body's forward axis, degrees; see `mount`."""
-    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
+    max_range_m: float = number(10.0, minimum=MIN_RANGE_M, maximum=MAX_RANGE_M)
     """Farthest return, metres; nothing is returned beyond."""
     mount: Literal["tilt", "band"] = "tilt"
     """`tilt`: the sensor is turned nose down as a rigid body, so forward rays look down and rear
@@ -50,9 +50,9 @@ class Lidar:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.rows * self.columns > MOST_RAYS:
+        if self.rows * self.columns > MAX_RAYS:
             raise ValueError(
-                f"rows = {self.rows}, columns = {self.columns}: expected {MOST_RAYS} rays at most"
+                f"rows = {self.rows}, columns = {self.columns}: expected {MAX_RAYS} rays at most"
             )
 
     @property
@@ -106,13 +106,13 @@ class Pinhole(Device):
     global shutter.
     """
 
-    width: int = number(320, least=1, most=MOST_RAYS)
+    width: int = number(320, minimum=1, maximum=MAX_RAYS)
     """Pixels of a row."""
-    height: int = number(240, least=1, most=MOST_RAYS)
+    height: int = number(240, minimum=1, maximum=MAX_RAYS)
     """Rows."""
-    horizontal_fov_deg: float = number(90.0, least=4, most=170)
+    horizontal_fov_deg: float = number(90.0, minimum=4, maximum=170)
     """Angle between the left edge of the picture and the right one, degrees."""
-    vertical_fov_deg: float = number(0.0, least=0, most=170)
+    vertical_fov_deg: float = number(0.0, minimum=0, maximum=170)
     """Angle between the upper edge and the lower one, degrees; 0 for square pixels."""
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
-from lidarsim.parameters import MOST_RAYS, check, number
+from lidarsim.parameters import MAX_RAYS, check, number
 from lidarsim.sensors.device import Device, pointing
 
 HOUR_S = 3600.0
@@ -22,13 +22,13 @@ class Windowed(Device):
     """Points one after the other at a steady rate, seen for a window that begins where `seed`
     says."""
 
-    points_hz: float = number(100_000.0, least=1, most=1e8)
+    points_hz: float = number(100_000.0, minimum=1, maximum=1e8)
     """Points a second."""
-    window_s: float = number(0.1, above=0, most=100)
+    window_s: float = number(0.1, above=0, maximum=100)
     """How long a scan takes, seconds."""
-    seed: int = number(0, least=0, most=2**31)
+    seed: int = number(0, minimum=0, maximum=2**31)
     """Which window of the pattern it is: another seed, another one."""
-    after_s: float = number(0.0, least=0, most=1e6)
+    after_s: float = number(0.0, minimum=0, maximum=1e6)
     """How long after that window this one begins, seconds: a log's scans follow each other."""
 
     @property
@@ -56,15 +56,15 @@ class Rosette(Windowed):
     them (Brazeal et al. 2021, Sensors 21, 4722).
     """
 
-    horizontal_fov_deg: float = number(40.0, above=1, most=180)
+    horizontal_fov_deg: float = number(40.0, above=1, maximum=180)
     """Angle between the outermost points to the left and to the right, degrees."""
-    vertical_fov_deg: float = number(40.0, above=1, most=180)
+    vertical_fov_deg: float = number(40.0, above=1, maximum=180)
     """The same of the highest and the lowest point, degrees."""
-    first_hz: float = number(7294 / 60, least=-1e4, most=1e4)
+    first_hz: float = number(7294 / 60, minimum=-1e4, maximum=1e4)
     """Turns of the first prism a second."""
-    second_hz: float = number(-4664 / 60, least=-1e4, most=1e4)
+    second_hz: float = number(-4664 / 60, minimum=-1e4, maximum=1e4)
     """Turns of the second prism a second."""
-    second_share: float = number(0.5, least=0, most=1)
+    second_share: float = number(0.5, minimum=0, maximum=1)
     """How much of the deflection is the second prism's; with a half, petals reach the centre."""
 
     @property
@@ -94,13 +94,13 @@ class Coil(Windowed):
     """A mirror that turns about the vertical, and a beam that swings up and down at an even pace
     meanwhile."""
 
-    lowest_deg: float = number(-10.0, least=-90, most=90)
+    lowest_deg: float = number(-10.0, minimum=-90, maximum=90)
     """Elevation of the lowest points, degrees."""
-    highest_deg: float = number(50.0, least=-90, most=90)
+    highest_deg: float = number(50.0, minimum=-90, maximum=90)
     """Elevation of the highest points, degrees."""
-    turns_hz: float = number(20.0, least=0.1, most=1e4)
+    turns_hz: float = number(20.0, minimum=0.1, maximum=1e4)
     """Turns about the vertical a second."""
-    swings_hz: float = number(1000 * math.sqrt(2), least=0.1, most=1e5)
+    swings_hz: float = number(1000 * math.sqrt(2), minimum=0.1, maximum=1e5)
     """Swings from the lowest to the highest point and back a second."""
 
     def __post_init__(self) -> None:
@@ -135,21 +135,21 @@ class Spinning(Device):
     `azimuth_offsets_deg[b]` beside it.
     """
 
-    elevations_deg: tuple[float, ...] = number(least=-90, most=90)
+    elevations_deg: tuple[float, ...] = number(minimum=-90, maximum=90)
     """Elevation of every beam, degrees."""
-    azimuth_offsets_deg: tuple[float, ...] = number((), least=-180, most=180)
+    azimuth_offsets_deg: tuple[float, ...] = number((), minimum=-180, maximum=180)
     """How far every beam points beside the head, counter-clockwise, degrees; none for beams in one
     plane."""
-    firing_times_s: tuple[float, ...] = number((), least=0, most=1)
+    firing_times_s: tuple[float, ...] = number((), minimum=0, maximum=1)
     """When every beam fires after its column begins, seconds; none where all of a column fire at
     once."""
-    columns: int = number(0, least=0, most=MOST_RAYS)
+    columns: int = number(0, minimum=0, maximum=MAX_RAYS)
     """Columns of a turn; 0 for as many as firing cycles fit into it."""
-    firing_cycle_s: float = number(0.0, least=0, most=1)
+    firing_cycle_s: float = number(0.0, minimum=0, maximum=1)
     """From one column to the next, seconds; 0 for a turn's time shared by its columns."""
-    rate_hz: float = number(10.0, least=0.1, most=1000)
+    rate_hz: float = number(10.0, minimum=0.1, maximum=1000)
     """Turns a second."""
-    horizontal_fov_deg: float = number(360.0, above=0, most=360)
+    horizontal_fov_deg: float = number(360.0, above=0, maximum=360)
     """How much of the turn is scanned, about the forward axis, degrees."""
     clockwise: bool = True
     """The sense of the turn, seen from above."""

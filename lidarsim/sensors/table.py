@@ -15,20 +15,20 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import Floats
 from lidarsim.parameters import (
     FILE,
-    LEAST_RANGE_M,
-    MOST_RANGE_M,
-    MOST_RAYS,
-    MOST_TEXT,
+    MAX_RANGE_M,
+    MAX_RAYS,
+    MAX_TEXT,
+    MIN_RANGE_M,
     check,
     check_text,
     number,
-    shown,
+    short_repr,
 )
 from lidarsim.sensors import Sensor, check_sensor
 
-MOST_AXES = 4
+MAX_AXES = 4
 """The most axes of a sensor's shape."""
-MOST_HEADER_BYTES = 4096
+MAX_NPY_HEADER_BYTES = 4096
 """The most bytes of an .npy file's header: more than any of ours takes."""
 UNIT = 1e-9
 """Tolerance of a direction's length."""
@@ -45,7 +45,7 @@ class BeamTable:
     rays: Floats = field(metadata={FILE: True})
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
     seconds after the scan begins; given as float64, or as the path of an .npy file of them."""
-    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
+    max_range_m: float = number(10.0, minimum=MIN_RANGE_M, maximum=MAX_RANGE_M)
     """Farthest return, metres."""
     made_by: str = ""
     """The sensor or program that made the table, for people."""
@@ -60,11 +60,11 @@ class BeamTable:
         shape = rays.shape[:-1]
         if (
             rays.shape[-1:] != (4,)
-            or not 1 <= len(shape) <= MOST_AXES
-            or not 0 < math.prod(shape) <= MOST_RAYS
+            or not 1 <= len(shape) <= MAX_AXES
+            or not 0 < math.prod(shape) <= MAX_RAYS
         ):
             raise ValueError(
-                f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays"
+                f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MAX_RAYS} rays"
             )
         lengths = np.sqrt((rays[..., :3] ** 2).sum(axis=-1))
         if len(bad := lengths[~(np.abs(lengths - 1.0) <= UNIT)]):
@@ -146,15 +146,17 @@ def _read_file(path: Path, sha256: str) -> NDArray[Any]:
         raise ValueError(f"rays = {path.name!a}: there is no such file in {str(path.parent)!a}")
     with open(path, "rb") as file:
         # one byte more than the limit shows that a file is too long, without reading it all
-        content = file.read(most_bytes(MOST_RAYS) + 1)
+        content = file.read(max_bytes(MAX_RAYS) + 1)
     if sha256 and hashlib.sha256(content).hexdigest() != sha256:
-        raise ValueError(f"rays = {path.name!a}: is not the file whose sha256 is {shown(sha256)}")
+        raise ValueError(
+            f"rays = {path.name!a}: is not the file whose sha256 is {short_repr(sha256)}"
+        )
     return read_npy(content)
 
 
-def most_bytes(rays: int) -> int:
+def max_bytes(rays: int) -> int:
     """Return the greatest size of an .npy file of so many rays."""
-    return 32 * rays + MOST_HEADER_BYTES
+    return 32 * rays + MAX_NPY_HEADER_BYTES
 
 
 def read_npy(content: bytes) -> NDArray[Any]:
@@ -172,7 +174,7 @@ def read_npy(content: bytes) -> NDArray[Any]:
     try:
         return np.asarray(
             np.lib.format.read_array(
-                io.BytesIO(content), allow_pickle=False, max_header_size=MOST_HEADER_BYTES
+                io.BytesIO(content), allow_pickle=False, max_header_size=MAX_NPY_HEADER_BYTES
             )
         )
     except Exception as error:  # NumPy's, and what else a crafted file brings
@@ -190,7 +192,7 @@ def _maker(sensor: Sensor) -> str:
         for name, value in values.items()
     )
     description = f"{type(sensor).__module__}:{type(sensor).__name__}({arguments})"
-    return "".join(letter if letter.isprintable() else "?" for letter in description)[:MOST_TEXT]
+    return "".join(letter if letter.isprintable() else "?" for letter in description)[:MAX_TEXT]
 
 
 def _numbers(values: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, raised_as
+from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.files import Json
 from scenegen.base.workers import ALONE
@@ -138,7 +138,7 @@ def calibrate(
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
     for dataset in datasets:
         check_whole(dataset, "calibrate on drawn worlds")
-        with raised_as(DatasetError, f"{dataset.name}: "):
+        with reraise_as(DatasetError, f"{dataset.name}: "):
             method.check_grid(dataset.grid)
     tasks = _tasks(datasets, split, samples)
     total = sum(len(task.numbers) for task in tasks)

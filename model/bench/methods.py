@@ -17,7 +17,7 @@ import numpy as np
 
 from lidarsim.grid import Floats, Mask
 from lidarsim.jit import kernel
-from scenegen.base.errors import DatasetError, ScenegenError, printable, raised_as
+from scenegen.base.errors import DatasetError, ScenegenError, printable, reraise_as
 from scenegen.base.files import real_path
 from scenegen.base.limits import GUARD_S
 from scenegen.dataset.read import AnyDataset, Split
@@ -148,10 +148,10 @@ def find_method(name: Any) -> Method:
     """
     if not isinstance(name, str):
         return name
-    with raised_as(ScenegenError, "--method: "):
+    with reraise_as(ScenegenError, "--method: "):
         kind = METHODS.find(name)
     odd = f"--method {name}: cannot be made by calling it without arguments: "
-    with raised_as(ScenegenError, odd, of=TypeError):
+    with reraise_as(ScenegenError, odd, of=TypeError):
         method = kind()
     if name in METHODS.builtin and hasattr(method, "completion"):  # a row itself, not a completer
         return method

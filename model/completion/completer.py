@@ -21,9 +21,9 @@ from torch import Tensor
 from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.scan import are_returns
-from scenegen.base.errors import DatasetError, needs, printable, raised_as, whole_number
+from scenegen.base.errors import DatasetError, check_int, needs, printable, reraise_as
 from scenegen.base.files import Json, real_path
-from scenegen.base.limits import MOST_BATCH
+from scenegen.base.limits import MAX_BATCH
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
 from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
 from scenegen.dataset.read import Split
@@ -74,8 +74,8 @@ class Completer:
     learned = True
 
     def __post_init__(self) -> None:
-        self.batch = whole_number("batch =", self.batch, 1, MOST_BATCH)
-        with raised_as(CheckpointError, f"{self.name}: "):
+        self.batch = check_int("batch =", self.batch, 1, MAX_BATCH)
+        with reraise_as(CheckpointError, f"{self.name}: "):
             self.calibration = Calibration.of(self.about)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
 
@@ -107,7 +107,7 @@ class Completer:
             network, grid, about = load_network(path, own)
             inputs, targets = network.config.inputs, network.targets
             unfit = RuntimeError, AssertionError
-            with raised_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
+            with reraise_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
                 placed(network, device)
 
             def run(maps: Batch) -> Output:
@@ -203,7 +203,7 @@ class Completer:
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
         """
-        with raised_as(DatasetError), on_threads(1):
+        with reraise_as(DatasetError), on_threads(1):
             self.check_grid(split.dataset.grid)
             return self(sample)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenegen.base.errors import DatasetError, empty_split, raised_as
+from scenegen.base.errors import DatasetError, empty_split, reraise_as
 from scenegen.base.executors import Counted, Executor, chunked, counted, unheard
 from scenegen.base.files import claim, make_parent
 from scenegen.base.workers import ALONE
@@ -64,7 +64,7 @@ def predict_split(
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
-    with raised_as(DatasetError, f"{dataset.name}: "):
+    with reraise_as(DatasetError, f"{dataset.name}: "):
         completer.check_grid(dataset.grid)
     samples = dataset.split(split)
     if not (count := len(samples)):

@@ -167,8 +167,10 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
         if isinstance(values, np.ndarray) and values.dtype.kind not in "fiub":
             raise PredictionError(f"{who}: {name} holds {values.dtype}, expected float32")
         low, high = float(values.min()), float(values.max())  # NaN, if any voxel holds it
-        if not (target.least <= low and high <= target.most and np.isfinite([low, high]).all()):
-            wrong = low if low < target.least else high
+        if not (
+            target.minimum <= low and high <= target.maximum and np.isfinite([low, high]).all()
+        ):
+            wrong = low if low < target.minimum else high
             held = f"{wrong:g}" if np.isfinite(wrong) else "NaN or infinity"
             raise PredictionError(
                 f"{who}: {name} holds {held}, expected {target.meaning} in every voxel"

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
 from lidarsim.grid import Floats, iou
-from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import are_returns
-from scenegen.base.errors import DatasetError, plural, raised_as
-from scenegen.base.files import check_ours, make_way, write_whole
-from scenegen.base.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.base.errors import DatasetError, plural, reraise_as
+from scenegen.base.files import check_ours, make_way, write_atomic
+from scenegen.base.limits import MAX_SCAN_BYTES, MAX_VOXELS
 from scenegen.base.paths import is_log
 from scenegen.base.reading import read_bounded
 from scenegen.logs import LogScan
@@ -104,16 +104,16 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
         DatasetError: The file holds no scan, or the position is out of bounds.
     """
     position = np.asarray(sensor, float)
-    if not (np.abs(position) <= MOST_LENGTH_M).all():
+    if not (np.abs(position) <= MAX_LENGTH_M).all():
         raise DatasetError(
-            f"--sensor {position.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin"
+            f"--sensor {position.tolist()}: expected metres within {MAX_LENGTH_M:g} of the origin"
         )
     cloud, truth = read_cloud(path, columns=columns), dict[str, Any]()
     check_scan(cloud.points, position, str(path))
     if path.suffix == ".npz":
         with suppress(ValueError):  # an archive of points alone
-            content = read_bounded(path, MOST_SCAN_BYTES)
-            values = read_npz(content, *TRUTH, "voxel_m", max_bytes=MOST_VOXELS)
+            content = read_bounded(path, MAX_SCAN_BYTES)
+            values = read_npz(content, *TRUTH, "voxel_m", max_bytes=MAX_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), values, strict=True))
     return Scan(str(path), cloud.points, position, cloud.layout, truth)
 
@@ -153,14 +153,14 @@ def predict_scan(
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_ours(out)
     make_way(out)
-    with raised_as(DatasetError, f"{scan.name}: ", " (--sensor)"):
+    with reraise_as(DatasetError, f"{scan.name}: ", " (--sensor)"):
         seen = completer.scan_of(scan.points, scan.position)
     maps = channels(("observed", *completer.inputs), seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
     truth = _truth_of(scan, seen.grid)
     if out.suffix == ".ply":
-        write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
+        write_atomic(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
         about = about_scan(completer, name or scan.name)
         about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m} | about_others(prediction)
@@ -199,7 +199,7 @@ def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None
 def is_intact(path: Path, about: Mapping[str, str]) -> bool:
     """Whether a file holds what was written of the scan that it is `about`."""
     try:
-        return read_guarded(partial(_check, about=about), path, MOST_SCAN_BYTES)
+        return read_guarded(partial(_check, about=about), path, MAX_SCAN_BYTES)
     except DatasetError:
         return False
 
@@ -220,7 +220,7 @@ def read_completion(path: Path) -> Look:
     """What `predict_scan` wrote to the .h5 file `path`, to be shown: what was observed, the
     prediction at the paper's thresholds, and the truth where there is one. Raises DatasetError for
     anything else."""
-    return read_guarded(_completion, path, MOST_SCAN_BYTES)
+    return read_guarded(_completion, path, MAX_SCAN_BYTES)
 
 
 def _completion(path: Path) -> Look:
@@ -233,7 +233,7 @@ def _completion(path: Path) -> Look:
             origin, voxel_m = np.array(file.attrs["origin"], float), float(file.attrs["voxel"])
             names = [name for name in ("observed", *PARTS, *TRUTH) if name in file]
             shape, method = file[names[0]].shape, str(file.attrs["method"])
-            if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
+            if math.prod(shape) > MAX_VOXELS or not np.isfinite(origin).all():
                 raise ValueError("no map")
             maps = {name: np.asarray(file[name]) for name in names}
         grid = GridSpec(shape=shape, voxel_m=voxel_m)

@@ -11,9 +11,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from scenegen.base.errors import DatasetError, GuardError, printable, raised_as, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, GuardError, printable, reraise_as
 from scenegen.base.files import whole
-from scenegen.base.limits import GUARD_BYTES, GUARD_S, MOST_CHUNK_BYTES
+from scenegen.base.limits import GUARD_BYTES, GUARD_S, MAX_CHUNK_BYTES
 from scenegen.base.reading import open_bounded
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import READ_ERRORS, Chunks
@@ -64,21 +65,21 @@ class _Disk(io.FileIO):
 
 
 def read_guarded(
-    read: Callable[[Path], Any], path: Path, most_bytes: int, seconds: float = GUARD_S
+    read: Callable[[Path], Any], path: Path, max_bytes: int, seconds: float = GUARD_S
 ) -> Any:
     """What `read` makes of a stranger's HDF5 file, `guarded`.
 
     Args:
         read: Opens the file by its path; the result must be picklable.
         path: A regular file; a pipe is refused.
-        most_bytes: The largest file that is read.
+        max_bytes: The largest file that is read.
         seconds: How long `read` may take.
 
     Raises:
         DatasetError: The file is missing or too large, or HDF5 crashes, hangs or swells on it.
         ScenegenError: Whatever `read` raises.
     """
-    open_bounded(path, most_bytes).close()
+    open_bounded(path, max_bytes).close()
     try:
         return guarded(read, path, seconds=seconds, memory_bytes=GUARD_BYTES)
     except GuardError as error:
@@ -156,11 +157,13 @@ def check_file(
     Raises:
         DatasetError: It is anything else, or damaged.
     """
-    wrong = raised_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
+    wrong = reraise_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
     with wrong, h5py.File(path, "r") as file:
         for name, expected in about.items():
             if (value := str(file.attrs.get(name))) != expected:
-                raise DatasetError(f"predicts {name} {short(value)}, expected {short(expected)}")
+                raise DatasetError(
+                    f"predicts {name} {short_repr(value)}, expected {short_repr(expected)}"
+                )
         sealed = sealed or DIGEST in file.attrs
         columns = (*WHO, SAMPLES) if sealed else WHO
         _check_arrays(file, columns, most, shape)
@@ -216,14 +219,14 @@ def _check_arrays(
 def _check_chunks(name: str, data: h5py.Dataset) -> None:
     """Raise DatasetError unless every chunk unpacks to just its size: HDF5 would take whatever
     comes out."""
-    with raised_as(DatasetError, f"{name} ", of=ValueError):
+    with reraise_as(DatasetError, f"{name} ", of=ValueError):
         chunks = Chunks(data.id)
-    if chunks.bytes > MOST_CHUNK_BYTES:
+    if chunks.bytes > MAX_CHUNK_BYTES:
         raise DatasetError(f"{name} has chunks of {chunks.chunk}; store one map a chunk")
     places: list[tuple[int, ...]] = []
     data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
     for place in places:
-        with raised_as(DatasetError, f"{name}: its chunk at {place} holds ", of=READ_ERRORS):
+        with reraise_as(DatasetError, f"{name}: its chunk at {place} holds ", of=READ_ERRORS):
             chunks.read(place)
 
 
@@ -240,7 +243,9 @@ def others_in(file: h5py.File) -> list[str]:
     if len(set(names)) < len(names) or not all(
         name.isidentifier() and name not in (*WHO, SAMPLES, *STORED) for name in names
     ):
-        raise DatasetError(f"names targets {short(text)}, expected names of arrays after commas")
+        raise DatasetError(
+            f"names targets {short_repr(text)}, expected names of arrays after commas"
+        )
     return names
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from scenegen.base.errors import DatasetError, ScenegenError, raised_as
+from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
@@ -79,7 +79,7 @@ def leaderboard(folder: Path) -> str:
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
     for path in sorted(folder.glob("*.json")):
         entry = read_recording(path)
-        with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
             part = part_of(entry)
         row = _row(entry)
         key = (str(entry.suite), str(part), *row.worlds)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.base.errors import DatasetError, ScenegenError, raised_as
+from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
-from scenegen.base.files import Json, check_ours, write_result, write_whole
+from scenegen.base.files import Json, check_ours, write_atomic, write_result
 from scenegen.fly.course import (
     Course,
     Flights,
@@ -206,7 +206,7 @@ def fly_courses(
             return NOTHING_KEPT
         held = replace(entry, courses=[flown[key] for key in keys if key in flown])
         # an entry that is there was read, wherever it was copied from
-        write = write_whole if suite and out.exists() else write_result
+        write = write_atomic if suite and out.exists() else write_result
         write(out, replace(held, complete=is_whole(held)).encoded())
         count = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {count}: give the same command again to go on"
@@ -273,7 +273,7 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
         if track != "own":
             raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
         return recording, {}
-    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+    with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
         part = part_of(recording)
     if part.track != track:
         raise ScenegenError(
@@ -292,7 +292,7 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
 def fly_again(path: Path, recording: Recording, hidden: int | None, crew: Crew) -> Flights:
     """The recorded flights, flown again. Raises DatasetError where one is not as it was."""
     count = sum(len(flights) for _, flights in recording.courses)
-    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+    with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, count))
     return [(course, again[course]) for course, _ in recording.courses]
 

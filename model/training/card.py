@@ -10,7 +10,7 @@ from typing import Any
 
 from scenegen.base.errors import DatasetError
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_EPOCHS, MOST_LINE_BYTES
+from scenegen.base.limits import MAX_EPOCHS, MAX_LINE_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.model.bench.metrics import METRICS
 from scenegen.model.config import VARIANTS, target_name
@@ -30,7 +30,7 @@ def read_rows(path: Path) -> list[Scalars]:
     """The figures of a run's epochs, from its ``metrics.csv``. Raises DatasetError for a file that
     holds none."""
     try:
-        text = read_bounded(path, MOST_EPOCHS * MOST_LINE_BYTES).decode()
+        text = read_bounded(path, MAX_EPOCHS * MAX_LINE_BYTES).decode()
         rows = [
             {name: float(value) for name, value in row.items() if value}  # some begin later
             for row in csv.DictReader(io.StringIO(text))

@@ -15,7 +15,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
-from scenegen.base.errors import DatasetError, ScenegenError, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.dataset.collection import check_together, open_data
 from scenegen.dataset.read import AnyDataset
 from scenegen.draw.mixture import fraction
@@ -210,7 +211,7 @@ class Maps(Dataset):
         for count, source, share in zip(counts, self.sources, shares, strict=True):
             if len(self) and not (count and len(source)):
                 raise DatasetError(
-                    f"{source.name}: of its {len(source)} samples, weight {short(str(share))} "
+                    f"{source.name}: of its {len(source)} samples, weight {short_repr(str(share))} "
                     f"would have {count} come in a pass of {len(self)}, expected one at least of "
                     "each dataset; give other weights"
                 )

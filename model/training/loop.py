@@ -21,7 +21,7 @@ from scenegen.base.errors import (
     StoppedError,
     empty_split,
     is_out_of_memory,
-    raised_as,
+    reraise_as,
 )
 from scenegen.base.executors import commit, installed, software
 from scenegen.base.files import Json
@@ -293,7 +293,7 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         if not len(split):
             names = ", ".join(source.name for source in split.sources)
             raise DatasetError(f"{names}: {empty_split(split.split)}")
-    with raised_as(DatasetError, f"{maps.sources[0].name}: "):
+    with reraise_as(DatasetError, f"{maps.sources[0].name}: "):
         config.network.check_map(maps.grid.shape)
     check_alike([checks.sources[0], maps.sources[0]])
     batch = min(config.batch, len(maps))
@@ -358,7 +358,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         )
     if not shapes.keys() & BUILT_IN.keys():
         raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
-    with torch.no_grad(), raised_as(TrainingError, of=PredictionError):
+    with torch.no_grad(), reraise_as(TrainingError, of=PredictionError):
         predicted = Prediction.of(output.predictions(network.targets, maps.grid))
         check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():

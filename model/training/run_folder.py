@@ -16,8 +16,8 @@ from torch import nn
 
 from lidarsim import GridSpec
 from scenegen.base.errors import DatasetError, printable
-from scenegen.base.files import Json, disk_told, remove_drafts, write_whole
-from scenegen.base.limits import MOST_HEADER_BYTES
+from scenegen.base.files import Json, disk_errors, remove_temp_files, write_atomic
+from scenegen.base.limits import MAX_HEADER_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.dataset.parameters import differences, plain
 from scenegen.model.checkpoint import (
@@ -100,7 +100,7 @@ class RunFolder:
             DatasetError: if the folder holds a run with other settings, or one that another process
                 works on.
         """
-        with disk_told(self.path):
+        with disk_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(self.path, os.O_RDONLY)  # held until `close`
         try:
@@ -111,7 +111,7 @@ class RunFolder:
             ) from None
         except OSError:  # a file system without locks
             pass
-        remove_drafts(self.path)
+        remove_temp_files(self.path)
         config = self.path / CONFIG
         if config.exists():
             if unlike := differences(self.settings(), plain(settings["settings"])):
@@ -122,7 +122,7 @@ class RunFolder:
             return
         if odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
-        write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+        write_atomic(config, (json.dumps(settings, indent=1) + "\n").encode())
 
     def close(self) -> None:
         """Let other processes work on the run."""
@@ -132,7 +132,7 @@ class RunFolder:
     def settings(self) -> Json:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            content = read_bounded(self.path / CONFIG, MOST_HEADER_BYTES)
+            content = read_bounded(self.path / CONFIG, MAX_HEADER_BYTES)
             settings = dict(json.loads(content)["settings"])
             return settings | {"network": current_settings(settings["network"])}
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
@@ -172,7 +172,7 @@ class RunFolder:
         if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
             header = {**about, "figures": rows[-1]}
             save_network(self.path / BEST, network, grid, header)
-            write_whole(self.path / CARD, card(self.path.name, header).encode())
+            write_atomic(self.path / CARD, card(self.path.name, header).encode())
         self.write_rows(rows)
         self.save(progress)
 
@@ -215,7 +215,7 @@ class RunFolder:
         writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
-        write_whole(self.path / ROWS, text.getvalue().encode())
+        write_atomic(self.path / ROWS, text.getvalue().encode())
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -233,7 +233,7 @@ class RunFolder:
             with suppress(ImportError):
                 from scenegen.view.panels import to_bytes
 
-                write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
+                write_atomic(self.path / CURVE, to_bytes(draw(rows), ".png"))
 
 
 FACTS = (

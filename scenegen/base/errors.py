@@ -6,11 +6,9 @@ from contextlib import contextmanager, suppress
 from numbers import Integral
 from typing import Any
 
-from lidarsim.parameters import shown
+from lidarsim.parameters import short_repr
 from lidarsim.registry import own_line
 
-short = shown
-"""Shorten a value from a user's file for the line of an error."""
 EXTRAS = {
     "gymnasium": "fly",
     "matplotlib": "view",
@@ -23,7 +21,7 @@ EXTRAS = {
     "torch": "train",
 }
 """Optional packages, and the extra of scenegen that installs each."""
-MOST_REPEATED = 1000
+MAX_REPEATED = 1000
 """Maximum length of another error's text that is repeated in ours, characters: it may quote a
 user's file."""
 
@@ -39,7 +37,7 @@ class RecipeError(ScenegenError):
     """A recipe has an unknown parameter, or a value that no world can have."""
 
 
-class AskedError(RecipeError):
+class UsageError(RecipeError):
     """Options contradict each other."""
 
 
@@ -55,7 +53,7 @@ class DatasetError(ScenegenError):
     """A folder holds no dataset, another dataset than expected, or cannot be written."""
 
 
-class AbsentError(DatasetError, FileNotFoundError):
+class NotFoundError(DatasetError, FileNotFoundError):
     """A file that should be read does not exist."""
 
 
@@ -63,12 +61,12 @@ class DiskError(DatasetError):
     """The disk refuses a write: it is full, or permission is denied."""
 
 
-class BrokenError(DatasetError):
+class CorruptFileError(DatasetError):
     """A file of a dataset violates the format so that it cannot be examined further. The message is
     the fault."""
 
 
-class NewerError(BrokenError):
+class UnsupportedVersionError(CorruptFileError):
     """A file uses a name that this version does not know: a newer scenegen may have written it."""
 
 
@@ -110,14 +108,14 @@ def plural(count: int, nouns: str) -> str:
     return f"{count} {nouns.removesuffix('s') if count == 1 else nouns}"
 
 
-def told(error: Exception) -> Exception:
+def as_own_code_error(error: Exception) -> Exception:
     """Return `error`, or an `OwnCodeError` instead if it was raised in a user's own module."""
     line = "" if isinstance(error, ScenegenError) else own_line(error)
     return OwnCodeError(f"{line}: {type(error).__name__}: {printable(error)}") if line else error
 
 
 @contextmanager
-def raised_as(
+def reraise_as(
     make_error: Callable[[str], Exception],
     begin: str = "",
     end: str = "",
@@ -139,10 +137,10 @@ def raised_as(
         yield
     except of as error:
         # "from None": the command line prints one line, and the cause would repeat it
-        raise make_error(f"{begin}{printable(error)[:MOST_REPEATED]}{end}") from None
+        raise make_error(f"{begin}{printable(error)[:MAX_REPEATED]}{end}") from None
 
 
-def whole_number(label: str, value: Any, minimum: int, maximum: int) -> int:
+def check_int(label: str, value: Any, minimum: int, maximum: int) -> int:
     """Convert a whole number of any type, such as numpy's, to an int.
 
     Args:
@@ -158,7 +156,7 @@ def whole_number(label: str, value: Any, minimum: int, maximum: int) -> int:
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or not minimum <= value <= maximum:
         raise DatasetError(
-            f"{label} {short(value)}: expected a whole number from {minimum} to {maximum}"
+            f"{label} {short_repr(value)}: expected a whole number from {minimum} to {maximum}"
         )
     return int(value)
 

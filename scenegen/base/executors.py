@@ -18,7 +18,7 @@ import lidarsim
 import scenegen
 from lidarsim.jit import sources
 from lidarsim.registry import Registry
-from scenegen.base.errors import ScenegenError, raised_as
+from scenegen.base.errors import ScenegenError, reraise_as
 
 Function = Callable[[Any], Any]
 """Applied to each task."""
@@ -146,7 +146,7 @@ def executor(place: str, workers: int) -> Executor:
         ScenegenError: if there is no such executor, or it cannot be made.
     """
     name, _, address = place.partition("://")
-    with raised_as(ScenegenError, "--on: "):
+    with reraise_as(ScenegenError, "--on: "):
         return EXECUTORS.find(name)(address, workers)
 
 

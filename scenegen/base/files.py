@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 
 from scenegen.base.errors import DatasetError, DiskError
 from scenegen.base.executors import LOCATED, undone
-from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.limits import MAX_MANIFEST_BYTES
 from scenegen.base.reading import read_bounded, sha256_of
 
 PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
@@ -53,7 +53,7 @@ def check_target(path: Path) -> None:
     Raises:
         DatasetError: if `path` exists and is not a regular file.
     """
-    with disk_told(path), suppress(FileNotFoundError):
+    with disk_errors(path), suppress(FileNotFoundError):
         mode = path.lstat().st_mode
         if stat.S_ISREG(mode):
             return
@@ -116,17 +116,17 @@ def _is_marked(path: Path) -> bool:
 
 def make_parent(path: Path) -> None:
     """Make the folder of `path`. Raises DiskError if the disk refuses."""
-    with disk_told(path.parent):
+    with disk_errors(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def make_way(path: Path) -> None:
     """Make the folder of `path`, and delete abandoned temporary files of it."""
     make_parent(path)
-    remove_drafts(path.parent, path.name)
+    remove_temp_files(path.parent, path.name)
 
 
-def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
+def write_atomic(path: Path, content: bytes, *, sync: bool = True) -> None:
     """Write a file atomically.
 
     Args:
@@ -155,7 +155,7 @@ def write_result(path: Path, content: bytes) -> None:
     """
     check_ours(path)
     make_way(path)
-    write_whole(path, content)
+    write_atomic(path, content)
 
 
 @contextmanager
@@ -214,7 +214,7 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
         for stale in (draft, previous):
             shutil.rmtree(stale, ignore_errors=True)
 
-    with disk_told(path), undone(clear):
+    with disk_errors(path), undone(clear):
         draft.mkdir()
         yield draft
         sync_folder(draft)
@@ -240,14 +240,14 @@ def claim(folder: Path, name: str, settings: Json) -> Collection[str]:
         DatasetError: if the folder holds other files, or a run with other settings.
     """
     content = json.dumps(settings, indent=1).encode()
-    with disk_told(folder):
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        remove_drafts(folder)
+        remove_temp_files(folder)
         # listed first: what another process begins meanwhile, it begins with that file
-        names = names_in(folder)
+        names = list_dir(folder)
     state = folder / name
     if begun := state.exists():
-        occupied = read_bounded(state, MOST_MANIFEST_BYTES) != content
+        occupied = read_bounded(state, MAX_MANIFEST_BYTES) != content
     else:
         occupied = any(not item.endswith(".tmp") for item in names)
     if occupied:
@@ -255,7 +255,7 @@ def claim(folder: Path, name: str, settings: Json) -> Collection[str]:
             f"{folder}: holds other files, or what another command began; choose another folder"
         )
     if not begun:
-        write_whole(state, content)
+        write_atomic(state, content)
     return names
 
 
@@ -266,7 +266,7 @@ def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
     draft = draft_of(path)
     # a file of its own: where somebody else's has this name, it stays
     with (
-        disk_told(path),
+        disk_errors(path),
         open(draft, "xb") as file,
         undone(lambda: draft.unlink(missing_ok=True)),
     ):
@@ -296,7 +296,7 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def disk_told(path: object) -> Iterator[None]:
+def disk_errors(path: object) -> Iterator[None]:
     """Raise the operating system's errors in the block as DiskErrors with advice.
 
     Args:
@@ -319,13 +319,13 @@ def disk_told(path: object) -> Iterator[None]:
 
 def draft_of(path: Path) -> Path:
     """Make an unguessable temporary name beside `path`. It records the target and this process, so
-    that `remove_drafts` can recognise abandoned ones."""
+    that `remove_temp_files` can recognise abandoned ones."""
     pid, secret = os.getpid(), secrets.token_hex(8)
     owner = f"{_digest(path.name)}-{_machine()}-{pid}-{_own_start(pid)}-{secret}"
     return path.with_name(f".scenegen-{owner}.tmp")
 
 
-def names_in(folder: Path) -> set[str]:
+def list_dir(folder: Path) -> set[str]:
     """List the files of a dataset's folder. Those in subfolders of shards are listed as
     "subfolder/name"."""
     names = {item.name for item in os.scandir(folder)}
@@ -336,7 +336,7 @@ def names_in(folder: Path) -> set[str]:
     return names
 
 
-def remove_drafts(folder: Path, target: str | None = None) -> None:
+def remove_temp_files(folder: Path, target: str | None = None) -> None:
     """Delete this user's abandoned temporary files in `folder` and in its subfolders of shards.
 
     A file is abandoned if its process on this machine has ended, or if it was written on another

@@ -3,104 +3,104 @@ other part."""
 
 from collections.abc import Mapping
 
-MOST_VOXELS = 1 << 26
+MAX_VOXELS = 1 << 26
 """Maximum number of voxels of a grid. A float32 distance field of this size takes 256 MB."""
-MOST_VIEWPOINTS = 10_000
+MAX_VIEWPOINTS = 10_000
 """Maximum number of viewpoints of a flight."""
-MOST_VOXELS_IN_FLIGHT = 1 << 30
+MAX_VOXELS_IN_FLIGHT = 1 << 30
 """Maximum number of voxels of all maps of a flight. They are in memory together, with about eight
 bytes a voxel."""
-MOST_SCANS = 100
+MAX_SCANS = 100
 """Maximum number of scans of a sample."""
-MOST_RAYS_IN_SAMPLE = 4_000_000
+MAX_RAYS_IN_SAMPLE = 4_000_000
 """Maximum number of rays of all scans of a sample."""
-MOST_CANDIDATES = 100_000
+MAX_CANDIDATES = 100_000
 """Maximum number of positions along a flight at which a scan is tried."""
-MOST_DRAWS = 10_000
+MAX_DRAWS = 10_000
 """Maximum number of draws of a world."""
-MOST_FLIGHTS = 1000
+MAX_FLIGHTS = 1000
 """Maximum number of flights tried in a world."""
-MOST_ITERATIONS = 10**6
+MAX_ITERATIONS = 10**6
 """Maximum number of iterations of a path search: about ten seconds."""
-MOST_SEARCHED = 10**9
+MAX_SEARCHED = 10**9
 """Maximum number of iterations over all draws and flights of a world: some hours."""
-MOST_SEED = 2**63 - 1
+MAX_SEED = 2**63 - 1
 """Largest seed: every JSON reader parses it as an integer."""
-MOST_SAMPLES = 10**9
+MAX_SAMPLES = 10**9
 """Maximum number of samples of a split."""
-MOST_WORKERS = 100_000
+MAX_WORKERS = 100_000
 """Maximum number of worker processes, of all nodes together."""
-MOST_WEIGHT = 10**9
+MAX_WEIGHT = 10**9
 """Largest weight of a component of a stream."""
-MOST_UNITS_IN_ROUND = 1000
+MAX_UNITS_IN_ROUND = 1000
 """Maximum number of flights in one round of a mixture."""
-MOST_SOURCES = 1000
+MAX_SOURCES = 1000
 """Maximum number of datasets of a collection."""
-MOST_SAMPLES_IN_SHARD = 10**5
+MAX_SAMPLES_IN_SHARD = 10**5
 """Maximum number of samples of a shard. A shard is made in memory: with default maps, this many
 take about 8 GB."""
-MOST_SHARDS = 200_000
+MAX_SHARDS = 200_000
 """Maximum number of shards of a dataset. Every command lists all of them in memory, about 5 kB
 each."""
-MOST_MANIFEST_BYTES = 128 << 20
-"""Maximum size of `dataset.json`, bytes. With `MOST_SHARDS` shards it has about 80 MB."""
-MOST_KIND_NAME = 100
+MAX_MANIFEST_BYTES = 128 << 20
+"""Maximum size of `dataset.json`, bytes. With `MAX_SHARDS` shards it has about 80 MB."""
+MAX_KIND_NAME = 100
 """Maximum length of a kind's name, characters."""
-MOST_CLASSES = 10_000
+MAX_CLASSES = 10_000
 """Maximum number of classes of a labelled dataset."""
 USUAL_IN_SHARD = 100
 """Default number of samples of a shard."""
-MOST_RECIPE_BYTES = 64 << 10
+MAX_RECIPE_BYTES = 64 << 10
 """Maximum size of a recipe's TOML file, bytes. Each parameter may take two kilobytes; parsing time
 grows faster than the size."""
 
-MOST_GEOMS = 50_000
+MAX_GEOMS = 50_000
 """Maximum number of geoms of a world. MuJoCo compiles these in five seconds, and takes four times
 as long for twice as many."""
-MOST_DRAWN_SOLIDS = 20_000
+MAX_DRAWN_SOLIDS = 20_000
 """Maximum number of solids in a drawn world. MuJoCo compiles these in a second, twice a world, and
 `verify` allows three minutes for a shard of a hundred worlds."""
-MOST_DRAWN_M = 1e4
+MAX_DRAWN_M = 1e4
 """Largest length in a recipe, metres. With MJCF's six digits, solids are then placed to a
 decimetre, and stacked or scattered ones stay within the largest length of a world."""
-LEAST_DRAWN_M = 1e-3
+MIN_DRAWN_M = 1e-3
 """Smallest step or distance of a flight, metres: the resolution at which motions are checked."""
-MOST_ELEMENTS = 200_000
+MAX_ELEMENTS = 200_000
 """Maximum number of elements of an MJCF document."""
-MOST_OTHERS = 5000
+MAX_OTHERS = 5000
 """Maximum number of elements other than geoms, meshes, height fields and materials. MuJoCo's
 compile time is quadratic in the number of bodies, joints, sites and defaults."""
-MOST_ATTRIBUTES = 100
+MAX_ATTRIBUTES = 100
 """Maximum number of attributes of an element. MuJoCo's parser compares each with all before it."""
-MOST_DEPTH = 200
+MAX_DEPTH = 200
 """Maximum nesting depth of MJCF, JSON or TOML."""
-MOST_CELLS = 1 << 24
+MAX_CELLS = 1 << 24
 """Maximum number of cells of a height field, pixels of an image, or numbers in an MJCF attribute.
 """
-MOST_BUILTIN = 300
+MAX_BUILTIN = 300
 """Largest parameter of a built-in mesh of MuJoCo, such as its resolution: about 100,000 vertices.
 """
-MOST_DOCUMENT_BYTES = 16 << 20
+MAX_DOCUMENT_BYTES = 16 << 20
 """Maximum size of an MJCF document, bytes."""
-MOST_ASSET_BYTES = 64 << 20
+MAX_ASSET_BYTES = 64 << 20
 """Maximum size of a file that a world refers to, bytes."""
-MOST_PLACE_VOXELS = 1 << 28
+MAX_PLACE_VOXELS = 1 << 28
 """Maximum number of voxels of a real place's map, a byte each: 290 × 170 × 30 m at 0.2 m take 180
 MB."""
-MOST_ARCHIVE_BYTES = 1 << 30
+MAX_ARCHIVE_BYTES = 1 << 30
 """Maximum size of all unpacked members of a shard's archive, bytes."""
-MOST_MEMBERS = 65_000
+MAX_MEMBERS = 65_000
 """Maximum number of members of a shard's archive."""
 
 SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
 """Time, seconds, and memory, bytes, of the process that reads an untrusted MJCF file."""
 
-MOST_ASKED: Mapping[str, int] = {
+MAX_ASKED: Mapping[str, int] = {
     "memory": 1 << 30,
     "nstack": 1 << 27,
     "nkey": 1000,
     **dict.fromkeys(("njmax", "nconmax", "nuserdata"), 1 << 20),
-    **dict.fromkeys(("nrow", "ncol", "width", "height"), MOST_CELLS),
+    **dict.fromkeys(("nrow", "ncol", "width", "height"), MAX_CELLS),
     **{
         f"nuser_{object_type}": 100
         for object_type in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
@@ -108,36 +108,36 @@ MOST_ASKED: Mapping[str, int] = {
 }
 """Largest values of MJCF attributes by which a file can make MuJoCo allocate memory."""
 
-MOST_WIDTH = 128
+MAX_WIDTH = 128
 """Maximum number of channels at a network's first level: 77 million parameters, 308 MB."""
-MOST_FEATURES = 1 << 27
+MAX_FEATURES = 1 << 27
 """Maximum number of voxels of a map times channels of the network's first level. Completing one map
 then takes a few GB."""
-MOST_BATCH = 4096
+MAX_BATCH = 4096
 """Maximum number of maps in a training step, or completed at once."""
-MOST_WEIGHTS_BYTES = 1 << 30
+MAX_WEIGHTS_BYTES = 1 << 30
 """Maximum size of a .safetensors or .onnx file, bytes. A training state of the widest network has
 924 MB."""
-MOST_EPOCHS = 10_000
+MAX_EPOCHS = 10_000
 """Maximum number of epochs of a training run. The header of its state holds about a kilobyte of
 figures for each."""
-MOST_MAPS = 10**10
+MAX_MAPS = 10**10
 """Maximum number of maps that a training run sees: four months at one per millisecond."""
-MOST_HEIGHT = 1024
+MAX_HEIGHT = 1024
 """Maximum height of a map for a network that sees whole columns, voxels."""
-MOST_LINE_BYTES = 4096
+MAX_LINE_BYTES = 4096
 """Maximum length of a line in a text file of points, bytes."""
-MOST_HEADER_BYTES = 16 << 20
+MAX_HEADER_BYTES = 16 << 20
 """Maximum size of a .safetensors header, a run's settings, or a point cloud's header, bytes."""
-MOST_SCAN_BYTES = 256 << 20
+MAX_SCAN_BYTES = 256 << 20
 """Maximum size of a scan's file, bytes."""
-MOST_CLOUD_BYTES = 1 << 30
-"""Maximum size of a point file that becomes a map, bytes. A LAS file of `MOST_POINTS` has 400 to
+MAX_CLOUD_BYTES = 1 << 30
+"""Maximum size of a point file that becomes a map, bytes. A LAS file of `MAX_POINTS` has 400 to
 800 MB."""
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 """Maximum number of points of a scan: 480 MB as float64."""
-MOST_CHUNK_BYTES = 256 << 20
-"""Maximum size of an unpacked chunk of a predictions file, bytes: a map of `MOST_VOXELS` in
+MAX_CHUNK_BYTES = 256 << 20
+"""Maximum size of an unpacked chunk of a predictions file, bytes: a map of `MAX_VOXELS` in
 float32."""
 
 GUARD_S = 60.0
@@ -148,5 +148,5 @@ GUARD_BYTES = 4 << 30
 ROBOT_START_SECONDS, ROBOT_SECONDS, ROBOT_BYTES = 60.0, 1.0, 8 << 30
 """Time for an untrusted robot to start and to make a decision, seconds; and its address space,
 bytes."""
-MOST_ANSWER_BYTES = 4096
+MAX_ANSWER_BYTES = 4096
 """Maximum size of a robot's decision, bytes."""

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble
-from scenegen.base.errors import BrokenError, StoreError, printable
-from scenegen.base.files import disk_told, whole, write_whole
+from scenegen.base.errors import CorruptFileError, StoreError, printable
+from scenegen.base.files import disk_errors, whole, write_atomic
 from scenegen.base.stores import Store
 
 AT_A_TIME = 8
@@ -59,7 +59,7 @@ def make_mirror(store: Store, name: str, manifest: bytes) -> Path:
     folder = mirror_root().joinpath(*digests)
     _check_private(folder)
     if not (folder / name).is_file():
-        write_whole(folder / name, manifest)
+        write_atomic(folder / name, manifest)
     return folder
 
 
@@ -74,7 +74,7 @@ def note_files(folder: Path, store: Store, files: Mapping[str, str]) -> None:
     content = json.dumps(Mirror(store.url, files)._asdict()).encode()
     # written only when it changes, as many processes open the same mirror
     if not (note := _note_of(folder)).is_file() or note.read_bytes() != content:
-        write_whole(note, content)
+        write_atomic(note, content)
     _read_note.cache_clear()
 
 
@@ -97,7 +97,7 @@ def fetch(path: Path) -> None:
 
     Raises:
         StoreError: if the store fails, or its file does not match the manifest.
-        BrokenError: if the store has no such file.
+        CorruptFileError: if the store has no such file.
     """
     try:
         store_digest, digest, *names = path.absolute().relative_to(mirror_root()).parts
@@ -119,7 +119,7 @@ def _download(mirror: Mirror, name: str, path: Path) -> None:
         try:
             Store(mirror.url).fetch(name, draft)
         except FileNotFoundError:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"{mirror.url}/{name}: is missing at the store, though it is listed"
             ) from None
         with open(draft, "rb") as file:
@@ -141,7 +141,7 @@ def fetch_all(folder: Path, names: Collection[str]) -> None:
 
     Raises:
         StoreError: as `fetch`, or if they do not fit into the mirror together.
-        BrokenError: as `fetch`.
+        CorruptFileError: as `fetch`.
     """
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
@@ -196,7 +196,7 @@ def _lock(path: Path) -> Iterator[None]:
     another process waits, the file is fetched twice.
     """
     lock = Path(f"{path}.lock")
-    with disk_told(path):
+    with disk_errors(path):
         path.parent.mkdir(exist_ok=True)
         file = open(lock, "wb")  # noqa: SIM115 (closed below; refusals of the disk are told)
     with file:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from lidarsim.registry import Registry
 from scenegen.base.errors import DatasetError
-from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.limits import MAX_MANIFEST_BYTES
 
 MAPS = (".bt", ".ot", ".npz")
 """Endings of maps of real places. An .npz file may also be a scan."""
@@ -92,7 +92,7 @@ def names(ending: str, word: str) -> Test:
 
     def test(path: Path) -> bool:
         is_read = path.suffix == ending and path.is_file()  # a pipe would never end
-        is_read = is_read and path.stat().st_size <= MOST_MANIFEST_BYTES
+        is_read = is_read and path.stat().st_size <= MAX_MANIFEST_BYTES
         return is_read and f'"{word}"'.encode() in path.read_bytes()
 
     return test

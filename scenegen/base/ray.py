@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import GenerationError, needs, told
+from scenegen.base.errors import GenerationError, as_own_code_error, needs
 from scenegen.base.executors import LOCATED, Begun, Executor, Function, Results, identity
 from scenegen.base.workers import safe_path
 
@@ -151,7 +151,7 @@ def received(
     except ImportError:
         raise  # the wrapper of `sent` turns it into advice
     except Exception as error:  # raised again by `taken` on the machine that started the run
-        return told(error), socket.gethostname()
+        return as_own_code_error(error), socket.gethostname()
 
 
 @lru_cache(maxsize=1)

@@ -8,7 +8,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import AbsentError, DatasetError
+from scenegen.base.errors import DatasetError, NotFoundError
 
 
 def open_bounded(path: Path, max_bytes: int) -> BufferedReader:
@@ -19,14 +19,14 @@ def open_bounded(path: Path, max_bytes: int) -> BufferedReader:
         max_bytes: Largest allowed size.
 
     Raises:
-        AbsentError: if there is no file.
+        NotFoundError: if there is no file.
         DatasetError: if it is not regular, too large, or cannot be opened.
     """
     try:
         # O_NONBLOCK: opening a pipe must not wait for a writer
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (FileNotFoundError, NotADirectoryError):
-        raise AbsentError(f"{path}: no such file") from None
+        raise NotFoundError(f"{path}: no such file") from None
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
@@ -65,7 +65,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
         max_bytes: Largest allowed size.
 
     Raises:
-        AbsentError: if there is no file.
+        NotFoundError: if there is no file.
         DatasetError: if it is not regular, too large, grows meanwhile, or cannot be read.
     """
     with open_bounded(path, max_bytes) as file:

@@ -23,7 +23,7 @@ from scenegen.base.errors import (
     needs,
     printable,
 )
-from scenegen.base.files import names_in, write_whole
+from scenegen.base.files import list_dir, write_atomic
 from scenegen.base.reading import read_bounded
 
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
@@ -347,7 +347,7 @@ def place_of(name: str) -> Place:
 
 def names_at(place: Place) -> Mapping[str, int | None]:
     """Names of a dataset's files, with their sizes in bytes at a store."""
-    return place.list() if isinstance(place, Store) else dict.fromkeys(names_in(place))
+    return place.list() if isinstance(place, Store) else dict.fromkeys(list_dir(place))
 
 
 def read_at(place: Place, name: str, max_bytes: int) -> bytes:
@@ -381,7 +381,7 @@ def create_at(place: Place, name: str, content: bytes) -> None:
     if isinstance(place, Store):
         place.create(name, content)
     else:
-        write_whole(place / name, content)
+        write_atomic(place / name, content)
 
 
 def remove_at(place: Place, name: str) -> None:

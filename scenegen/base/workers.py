@@ -21,17 +21,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lidarsim.parameters import short_repr
 from scenegen.base.errors import (
     DatasetError,
     GenerationError,
     GuardError,
     ScenegenError,
-    short,
-    told,
-    whole_number,
+    as_own_code_error,
+    check_int,
 )
 from scenegen.base.executors import Begun, Executor, Function, Results, undone_if_stopped
-from scenegen.base.limits import MOST_WORKERS
+from scenegen.base.limits import MAX_WORKERS
 
 RANKS = (
     ("SCENEGEN_RANK", "SCENEGEN_WORLD_SIZE"),
@@ -69,7 +69,8 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
         if 0 <= rank < size:
             return rank, size
     raise DatasetError(
-        f"--on rank: {names[0]}={short(values[0])}, {names[1]}={short(values[1])}; expected whole "
+        f"--on rank: {names[0]}={short_repr(values[0])}, {names[1]}={short_repr(values[1])}; "
+        "expected whole "
         "numbers, the first from 0 to one less than the second"
     )
 
@@ -78,7 +79,7 @@ PR_SET_PDEATHSIG = 1
 """Option of Linux's `prctl`: the signal that this process gets when its parent ends."""
 WATCH_S = 2.0
 """Interval at which an idle worker checks that its parent still runs, seconds."""
-MOST_REPLACED = 5
+MAX_REPLACED = 5
 """Maximum number of replaced workers in a `Limited` run. Afterwards its remaining tasks are given
 up."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
@@ -96,7 +97,7 @@ class Local(Executor):
         if address:
             name = type(self).__name__.lower()
             raise DatasetError(f"--on {name}://{address}: takes no address; give --on {name}")
-        self.workers = whole_number("--workers", workers, 1, MOST_WORKERS)
+        self.workers = check_int("--workers", workers, 1, MAX_WORKERS)
 
     def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Run the tasks; see `run`."""
@@ -220,7 +221,7 @@ def run(
                 for worker in _ready(busy):
                     result = worker.take(workers)
                     deaths += not worker.alive
-                    has_next = pending and (worker.alive or deaths <= MOST_REPLACED)
+                    has_next = pending and (worker.alive or deaths <= MAX_REPLACED)
                     if not (has_next and worker.alive):
                         busy.remove(worker)
                         worker.end()
@@ -430,7 +431,10 @@ def _serve(
         except EOFError:
             return
         except Exception as error:
-            answer = False, told(error)  # here, as pickling drops the traceback that it reads
+            answer = (
+                False,
+                as_own_code_error(error),
+            )  # here, as pickling drops the traceback that it reads
         pipe.send(answer)
 
 

@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from scenegen.base.executors import Executor
 from scenegen.base.files import Json, check_ours, write_result
-from scenegen.base.limits import MOST_SAMPLES
+from scenegen.base.limits import MAX_SAMPLES
 from scenegen.cli.options import (
     command,
     datasets_argument,
@@ -31,7 +31,7 @@ from scenegen.cli.options import (
     taken,
     together,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_columns
+from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, info, show_columns
 from scenegen.cli.types import FILE, Named
 from scenegen.model.config import (
     DEFAULT_NETWORK,
@@ -192,8 +192,8 @@ def bench(
     out: Path,
     quick: bool,
     execute: Executor,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in
@@ -204,18 +204,18 @@ def bench(
     from scenegen.model.bench.run import bench_all
     from scenegen.model.bench.shown import draw_charts, draw_failures
 
-    if talk:
+    if verbose:
         announce_compilation()
-    measured = find_datasets(datasets, shown=talk)
+    measured = find_datasets(datasets, shown=verbose)
     for name in REPORTS:
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
     plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
     config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
-    for dataset, method in product(measured if talk else (), methods):
+    for dataset, method in product(measured if verbose else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
-            note(f"note: {dataset.name}: {warning}")
-    with Progress("bench", shown=talk) as progress:
+            info(f"note: {dataset.name}: {warning}")
+    with Progress("bench", shown=verbose) as progress:
         results = bench_all(
             measured,
             methods,
@@ -238,9 +238,9 @@ def bench(
                 result, methods
             )
     write_result(out / "report.html", to_html(report, pictures).encode())
-    if tell(report):
+    if report_result(report):
         show_tables(report)
-        say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
+        echo(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
 
 
 def show_tables(report: Json) -> None:
@@ -258,9 +258,9 @@ def show_tables(report: Json) -> None:
                 for method, row in rows.items()
             }
             show_columns(cells, list(names), f"{kind}, {table}")
-        say(f"{kind}: {trial_counts(about)}")
+        echo(f"{kind}: {trial_counts(about)}")
         for line in notes(about):
-            say(f"note: {kind}: {line}")
+            echo(f"note: {kind}: {line}")
 
 
 @command("export", "export runs/mine -o mine.onnx")
@@ -274,7 +274,7 @@ def export(weights: str, out: Path | None) -> None:
     network, grid, about = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
     export_onnx(network, grid, out, about=about)
-    say(f"written: {out}")
+    echo(f"written: {out}")
 
 
 @command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine")
@@ -282,7 +282,7 @@ def export(weights: str, out: Path | None) -> None:
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
 @click.option(
-    "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
+    "--samples", type=click.IntRange(1, MAX_SAMPLES), help="At most so many maps of each dataset."
 )
 @out_option(
     "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
@@ -294,8 +294,8 @@ def calibrate(
     weights: str,
     datasets: tuple[Path | str, ...],
     out: Path | None,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Calibrate a network's probabilities; the calibration is kept in its file."""
@@ -317,13 +317,13 @@ def calibrate(
         check_ours(out)
     out = out or path
     make_parent(out)
-    if talk:
+    if verbose:
         announce_compilation()
-    folders = find_datasets(datasets, shown=talk)
-    with Progress("calibrate", shown=talk) as progress:
+    folders = find_datasets(datasets, shown=verbose)
+    with Progress("calibrate", shown=verbose) as progress:
         found = fit(
             weights, folders, out, **options, on_start=progress.start, on_done=progress.count
         )
-    if tell(asdict(found)):
-        say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
-        say(f"written: {out}")
+    if report_result(asdict(found)):
+        echo(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
+        echo(f"written: {out}")

@@ -18,10 +18,10 @@ from lidarsim.registry import Registry
 from scenegen.base.errors import (
     ScenegenError,
     StoppedError,
+    as_own_code_error,
     is_out_of_memory,
     lacking,
     printable,
-    told,
 )
 from scenegen.cli import stops
 
@@ -143,7 +143,7 @@ def _end(error: BaseException) -> tuple[int, str]:
             return 1, f"this command {advice}"
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
             return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
-        case Exception() if isinstance(error := told(error), ScenegenError):
+        case Exception() if isinstance(error := as_own_code_error(error), ScenegenError):
             return error.code, str(error)
         # a file that cannot be read or written: not a defect, so no traceback
         case OSError():

@@ -11,7 +11,7 @@ import rich_click as click
 from scenegen.base.errors import DatasetError, DiskError, printable
 from scenegen.base.executors import Executor, executor
 from scenegen.base.files import claim, real_path, write_result
-from scenegen.base.limits import MOST_BATCH
+from scenegen.base.limits import MAX_BATCH
 from scenegen.base.paths import DATA, check_type, type_of
 from scenegen.cli.bench import Weights
 from scenegen.cli.options import (
@@ -26,7 +26,7 @@ from scenegen.cli.options import (
     was_given,
     workers_by,
 )
-from scenegen.cli.show import Progress, note, say
+from scenegen.cli.show import Progress, echo, info
 from scenegen.cli.types import DatasetPath, Number, OutputFile
 from scenegen.model.config import DEFAULT_NETWORK
 
@@ -82,7 +82,7 @@ MAX_SHOWN = 24
 @device_option
 @click.option(
     "--batch",
-    type=click.IntRange(1, MOST_BATCH),
+    type=click.IntRange(1, MAX_BATCH),
     default=8,
     help="Maps at once.",
 )
@@ -149,7 +149,7 @@ def complete(
     # which may refuse what is there at once
     tasks = tasks_of(path, sensor, every, columns, **log_reading) if several else None
     if tasks and tasks[2] and not quiet:
-        note(tasks[2])
+        info(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks:
         name = path.stem if path.is_file() else real_path(path).name
@@ -167,11 +167,11 @@ def complete(
     else:
         reports = [predict_scan(completer, read_scan(path, sensor, columns), out)]
         if not quiet:
-            note(read_line(reports))
+            info(read_line(reports))
             lines = "; ".join(summary(completer, reports))
-            say(f"{path}: {lines}; completed by {completer.name}")
+            echo(f"{path}: {lines}; completed by {completer.name}")
     if not quiet:
-        say(f"{'replaced' if existed else 'written'}: {out}")
+        echo(f"{'replaced' if existed else 'written'}: {out}")
 
 
 def _complete_split(
@@ -200,12 +200,12 @@ def _complete_split(
             on_done=progress.count,
         )
     for name in damaged:
-        note(f"{out / name}: was not as it was written; it was completed again")
+        info(f"{out / name}: was not as it was written; it was completed again")
     for warning in () if quiet else completer.unlike(dataset.settings):
-        note(f"note: {warning}")
+        info(f"note: {warning}")
     far = sum(share >= UNUSUAL for share in away)
     if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
-        note(
+        info(
             f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
             f"on, so expect worse completions"
@@ -239,7 +239,7 @@ def complete_scans(
             target = out / f"{name}.h5"
             intact = target.exists() and is_intact(target, about_scan(completer, name))
             if target.exists() and not intact:
-                note(f"{target}: is damaged, or of another scan; it is completed again")
+                info(f"{target}: is damaged, or of another scan; it is completed again")
                 target.unlink()
             if not intact:
                 try:
@@ -248,7 +248,7 @@ def complete_scans(
                     raise
                 except DatasetError as error:
                     failed += 1
-                    note(printable(error))
+                    info(printable(error))
             if target.exists():
                 completions.append(target)
             progress.count(1)
@@ -264,7 +264,7 @@ def complete_scans(
     if quiet:
         return
     if reports:
-        note(read_line(reports))
+        info(read_line(reports))
         for line in summary(completer, reports):
-            note(f"note: {line}")
-    say(f"{out}: {len(completions)} completions; look at {out / 'index.html'}")
+            info(f"note: {line}")
+    echo(f"{out}: {len(completions)} completions; look at {out / 'index.html'}")

@@ -9,7 +9,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen import SPLITS
-from scenegen.base.errors import raised_as
+from scenegen.base.errors import reraise_as
 from scenegen.base.executors import Executor
 from scenegen.base.paths import type_of
 from scenegen.cli.options import (
@@ -28,7 +28,7 @@ from scenegen.cli.options import (
     splits_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, note, plain, say, show_table
+from scenegen.cli.show import Progress, Reporter, echo, info, plain, show_table
 from scenegen.cli.types import FILE, Named, Number
 from scenegen.convert import FORMATS, Choices
 from scenegen.logs import Fusing
@@ -83,7 +83,7 @@ def convert(
     target = out or Path(f"{Path(source.name).absolute().stem}-{to.rpartition(':')[2]}")
     for part in source.datasets:
         if not part.manifest.complete:
-            note(f"{part.folder}: is incomplete; its samples so far are converted")
+            info(f"{part.folder}: is incomplete; its samples so far are converted")
     with Progress(to, shown=not quiet) as progress:
         result = write(
             source,
@@ -96,7 +96,7 @@ def convert(
             on_done=progress.count,
         )
     for line in (*(result.notes if not quiet else ()), *result.broken):
-        note(line)
+        info(line)
     if result.broken:
         raise DatasetError(
             f"{source.name}: {len(result.broken)} samples could not be read; the others are in "
@@ -107,7 +107,7 @@ def convert(
             f"; {result.others} are for the other ranks to write there" if result.others else ""
         )
         before = f"; an earlier run wrote {result.there}" if result.there else ""
-        say(f"{target}: {plural(result.written, 'samples')} written{before}{remaining}")
+        echo(f"{target}: {plural(result.written, 'samples')} written{before}{remaining}")
 
 
 @command("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")
@@ -152,7 +152,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
             else open_dataset(dataset, shown=True).compile(split, number)
         )
         write_result(out, encode_world(solid(compiled, str(dataset))))
-        say(f"written: {out}")
+        echo(f"written: {out}")
         return
     from scenegen.dataset.archive import DOCUMENT, write_extracted
 
@@ -160,7 +160,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     files = open_dataset(dataset, shown=True).world(split, number)
     if out is not None:
         write_extracted(files, out)
-        say(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
+        echo(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
     elif len(files) > 1:  # standard output can carry only the document
         raise click.UsageError(
             f"this world refers to {len(files) - 1} other files; give -o, to write them beside it"
@@ -209,8 +209,8 @@ def map(
     box: tuple[float, ...] | None,
     columns: int | None,
     out: Path,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .bin, .xyz, .npz, .npy;
@@ -249,9 +249,9 @@ def map(
     write_result(out, encode_map(result.voxels, str(clouds[0]), offset=result.offset))
     facts = {"file": str(out), "points": result.points, "taken_off_m": result.offset.tolist()}
     row = facts | map_facts(result.voxels)
-    if talk:
-        note(result.read)
-    if tell(row | {"read": result.read}):
+    if verbose:
+        info(result.read)
+    if report_result(row | {"read": result.read}):
         show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
@@ -290,8 +290,8 @@ def ingest(
     columns: int | None,
     explain: bool,
     out: Path | None,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Make maps of a log of LiDAR scans with poses, and write some of its scans with their truth.
@@ -312,25 +312,25 @@ def ingest(
 
     target = out or Path(f"{log.stem}-maps")
     # bounds that depend on several options are checked here, not by click
-    with raised_as(click.UsageError):
+    with reraise_as(click.UsageError):
         how = Fusing(**options)
     if not explain:
         check_free(target)  # before the log is read, which takes minutes
     recording = read_log(log, columns=columns, **log_reading)
     if explain:
         row = recording.explained()
-        if tell(row):
+        if report_result(row):
             show_table(row)
-    elif talk:
-        note(recording.line())
+    elif verbose:
+        info(recording.line())
     # after --explain has printed why times are not known
     if how.deskew:
         recording.check_point_times()
     if explain:
         return
-    with Progress("ingest", shown=talk) as progress:
+    with Progress("ingest", shown=verbose) as progress:
         progress.start(len(recording.poses))
         counts = write(recording, target, how, on_done=progress.count)
-    if tell({"folder": str(target), "read": dict(recording.about), **counts}):
+    if report_result({"folder": str(target), "read": dict(recording.about), **counts}):
         source, folder = quote(str(target)), quote(f"{target}-samples")
         show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

@@ -15,7 +15,7 @@ from click.shell_completion import get_completion_class
 from scenegen.base.errors import ScenegenError, printable
 from scenegen.base.files import Json
 from scenegen.cli.options import command, json_option
-from scenegen.cli.show import announce_compilation, flat, say, show_table
+from scenegen.cli.show import announce_compilation, echo, flat, show_table
 from scenegen.cli.types import Choice
 
 LITTLE_GB = 5.0
@@ -54,7 +54,7 @@ def doctor(as_json: bool) -> None:
             "then run it again"
         )
     if not as_json:
-        say("all is well")
+        echo("all is well")
 
 
 def _advice(report: Json) -> dict[str, str]:

@@ -32,7 +32,7 @@ from scenegen.cli.options import (
     together,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
+from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
@@ -228,7 +228,7 @@ def _fly(
     robot: str,
     weights: str | None,
     out: Path | None,
-    talk: bool,
+    verbose: bool,
     execute: Executor,
     suite: str | None = None,
     hidden: int | None = None,
@@ -238,7 +238,7 @@ def _fly(
     """Fly through courses, record the flights, and print and draw them."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
-    name, network, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
+    name, network, work = _begin(robot, weights, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
     if weights is None:  # a network's robot is scenegen's own
@@ -247,7 +247,7 @@ def _fly(
         from scenegen.worlds.world import solid
 
         solid(first.drawn, first.world)
-    with Progress("fly", shown=talk) as progress:
+    with Progress("fly", shown=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
     crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
@@ -260,7 +260,7 @@ def _begin(
     hidden: int | None,
     log: Path | None,
     execute: Executor,
-    talk: bool,
+    verbose: bool,
 ) -> tuple[str, str, Any]:
     """Check the options of a robot.
 
@@ -284,7 +284,7 @@ def _begin(
     if log is not None:
         check_free(log)
     check_together(execute, "a row of flights takes")
-    if talk:
+    if verbose:
         announce_compilation()
     name, network = robot, ""
     if weights is not None:
@@ -307,7 +307,7 @@ def replay(
     weights: str | None,
     hidden: int | None,
     maps: Path | None,
-    talk: bool,
+    verbose: bool,
     execute: Executor,
     **drawing: Any,
 ) -> None:
@@ -325,10 +325,10 @@ def replay(
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
     track = _track(hidden, maps)
-    pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, talk)
+    pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, track, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
-    with Progress("replay", shown=talk) as progress:
+    with Progress("replay", shown=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
@@ -362,7 +362,7 @@ def rank(entries: Path, out: Path, quiet: bool) -> None:
 
     write_result(out, leaderboard(entries).encode())
     if not quiet:
-        say(f"written: {out}")
+        echo(f"written: {out}")
 
 
 for subcommand in (world, suite, replay, rank):
@@ -378,7 +378,7 @@ def _show(
     *,
     hidden: int | None,
     crew: Callable[..., Any],
-    tell: Tell,
+    report_result: Reporter,
     files: Sequence[Path | None],
     picture: Path | None,
     film: Path | None,
@@ -431,9 +431,9 @@ def _show(
         write_log(log, log_of(course, 0, ways[0]))
     flights = [flight for _, several in flown for flight in several]
     row = {**summary(name, flights), **notes}
-    if tell(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
+    if report_result(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
         show_table(row)
         for trouble in sorted({flight.trouble for flight in [*flights, *differing]} - {""}):
-            say(f"robot: {trouble}")
+            echo(f"robot: {trouble}")
         for path in filter(None, (*files, picture, film, log)):
-            say(f"written: {path}")
+            echo(f"written: {path}")

@@ -10,7 +10,7 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from lidarsim.registry import Registry
-from scenegen.base.errors import AskedError, raised_as
+from scenegen.base.errors import UsageError, reraise_as
 from scenegen.base.limits import USUAL_IN_SHARD
 from scenegen.base.paths import WORLD_FILES
 from scenegen.cli.options import (
@@ -32,13 +32,13 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
-    Tell,
+    Reporter,
     announce_compilation,
+    echo,
     flat,
-    note,
+    info,
     per_split,
     rejections,
-    say,
     seconds_taken,
     show_table,
 )
@@ -155,8 +155,8 @@ def generate(
     workers: int,
     on: str,
     dry_run: bool,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. The same command continues a stopped run.
@@ -171,7 +171,7 @@ def generate(
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
     shards, force = options.pop("split_range"), options.pop("force")
-    if talk:
+    if verbose:
         announce_compilation()  # before imports that may take seconds
     from scenegen.base.workers import keep_memory
     from scenegen.dataset.generation import plan_generation
@@ -179,10 +179,10 @@ def generate(
 
     keep_memory()
     # errors of the plan are errors of the options: exit code 2
-    with raised_as(click.UsageError, of=AskedError):
+    with reraise_as(click.UsageError, of=UsageError):
         plans = plan_generation(
             mapping=mapping_given(options),
-            report=note if talk else lambda line: None,
+            report=info if verbose else lambda line: None,
             **without(Mapper, options),
         )
     # a collection has a dataset for each kind, and so no common numbers of shards
@@ -193,7 +193,7 @@ def generate(
     if dry_run:
         for plan in plans.datasets:
             State(plan, force=force)  # refuses a folder that holds something else
-        _show_plans(plans, tell)
+        _show_plans(plans, report_result)
         return
     make(
         plans,
@@ -201,12 +201,12 @@ def generate(
         on=on,
         shards=shards,
         force=force,
-        tell=tell,
-        talk=talk,
+        report_result=report_result,
+        verbose=verbose,
     )
 
 
-def _show_plans(plans: "Plans", tell: Tell) -> None:
+def _show_plans(plans: "Plans", report_result: Reporter) -> None:
     """Print the plans, and each as a recipe file."""
     rows = {
         "folder": str(plans.folder),
@@ -218,7 +218,7 @@ def _show_plans(plans: "Plans", tell: Tell) -> None:
     details: Any = {"datasets": parameters}
     if not plans.is_collection:
         details = {"parameters": plans.datasets[0].manifest.parameters}
-    if not tell(rows | details):
+    if not report_result(rows | details):
         return
     from scenegen.dataset.parameters import recipe_text
 
@@ -226,7 +226,7 @@ def _show_plans(plans: "Plans", tell: Tell) -> None:
     for plan in plans.datasets:
         rows_of_plan = flat({**plan.manifest.parameters, "recipe": None})
         show_table({name: value for name, value in rows_of_plan.items() if value is not None}, "")
-        say(f"\n{recipe_text(plan.manifest.tables, RECIPE_NOTE)}".rstrip())
+        echo(f"\n{recipe_text(plan.manifest.tables, RECIPE_NOTE)}".rstrip())
 
 
 def make(
@@ -235,8 +235,8 @@ def make(
     workers: int,
     on: str,
     force: bool,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     shards: tuple[int, int] | None = None,
 ) -> None:
     """Make planned datasets, with a bar for each, and print a summary.
@@ -256,7 +256,7 @@ def make(
     plans.open(force=force)  # refuses folders of something else before any of them is written
     summaries = []
     for plan in plans.datasets:
-        with Progress(plan.name, shown=talk) as progress:
+        with Progress(plan.name, shown=verbose) as progress:
             summary = build(
                 plan,
                 execute=executor(on, workers),
@@ -273,7 +273,7 @@ def make(
         row: Any = {"folder": str(plans.folder), "datasets": rows, "seconds": seconds}
     else:
         row = {**rows[0], "seconds": seconds}
-    if tell(row):
+    if report_result(row):
         for summary in summaries:
             _show_summary(summary, seconds, is_single=not plans.is_collection)
         if plans.is_collection:
@@ -336,7 +336,7 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     title = f"the preset of {kind}, version {chosen.version}; lengths are metres"
     text = recipe_text(recipe_entry(chosen), title)
     if out is None:
-        say(text.rstrip())
+        echo(text.rstrip())
     else:
         write_result(out, text.encode())
-        say(f"written: {out}")
+        echo(f"written: {out}")

@@ -26,11 +26,11 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
-    note,
+    echo,
+    info,
     per_split,
     plain,
     rejections,
-    say,
     show_columns,
     show_table,
 )
@@ -128,7 +128,7 @@ def inspect(
         return
     _show(dataset, summary, details=details)
     for line in warnings:
-        note(f"note: {line}")
+        info(f"note: {line}")
 
 
 def _show_all(rows: list[Json]) -> None:
@@ -194,7 +194,7 @@ def _show_means(splits: Json) -> None:
         ]
         meanings[key] = f"{title}, {unit}".removesuffix(", ")
     show_columns(cells, list(splits), "means ± standard deviations of samples", meanings)
-    say("\n--details prints extremes, worlds and kinds")
+    echo("\n--details prints extremes, worlds and kinds")
 
 
 def _show_split(name: str, split: Json) -> None:
@@ -293,7 +293,7 @@ def view(
         looks = function_for(dataset, "shows")(Path(dataset))
         write_result(out, page(looks, title=str(dataset)).encode())
         if not quiet:
-            say(f"{out}: open it in a browser")
+            echo(f"{out}: open it in a browser")
         return
     source = open_dataset(dataset, shown=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
@@ -312,17 +312,17 @@ def view(
         raise click.UsageError(f"--index {index}: its {split} split has {samples} samples")
     for part in opened:
         for line in incomplete(part, split):
-            note(f"{part.name}: {line}")
+            info(f"{part.name}: {line}")
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
     # noted: Ctrl-C ends the loop between two requests, and the server closes
     with server, stops.noted() as stopped:
         folders = ", ".join(part.name for part in opened)
-        say(f"{server.address}  shows {folders}; Ctrl-C ends it")
+        echo(f"{server.address}  shows {folders}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
-            say(
+            echo(
                 f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the "
                 "same address there"
             )
@@ -364,6 +364,6 @@ def write_page(
     content = page(samples, title=title, notes=notes)
     write_result(out, content.encode())
     for line in notes:
-        note(line)
+        info(line)
     if not quiet:
-        say(f"{out}: {len(samples)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
+        echo(f"{out}: {len(samples)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")

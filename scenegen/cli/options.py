@@ -18,7 +18,7 @@ from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
 from scenegen.base.executors import EXECUTORS, LOCAL, cores, executor
-from scenegen.base.limits import MOST_WORKERS
+from scenegen.base.limits import MAX_WORKERS
 from scenegen.cli.types import (
     FILE,
     Choice,
@@ -85,7 +85,7 @@ datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 
 def workers_by(default: str) -> Decorator:
     """Make the option --workers, whose default is all cores; help pages show `default` for it."""
-    kind = click.IntRange(1, MOST_WORKERS)
+    kind = click.IntRange(1, MAX_WORKERS)
     return click.option(
         "--workers", type=kind, default=cores, show_default=default, help="Processes."
     )
@@ -144,15 +144,15 @@ def printing(function: Callable[..., Any]) -> Any:
     @quiet_option
     @wraps(function)
     def _with_printing(*, as_json: bool, quiet: bool, **options: Any) -> Any:
-        talk = not (as_json or quiet)
+        verbose = not (as_json or quiet)
 
-        def tell(row: Any) -> bool:
+        def report_result(row: Any) -> bool:
             if as_json:
                 # a result that takes time to make is a function
                 print(json.dumps(row() if callable(row) else row))
-            return talk
+            return verbose
 
-        return function(tell=tell, talk=talk, **options)
+        return function(report_result=report_result, verbose=verbose, **options)
 
     return _with_printing
 
@@ -347,7 +347,9 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
         return {"type": Number(bounds), "default": default}
     if typing.get_origin(kind) is tuple:
         return {"type": Numbers(name="X,Y,Z"), "default": default}
-    low, high = (None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most))
+    low, high = (
+        None if math.isinf(bound) else int(bound) for bound in (bounds.minimum, bounds.maximum)
+    )
     return {"type": click.IntRange(low, high), "default": default}
 
 
@@ -417,7 +419,7 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[An
         UsageError: No dataset is given, and data/ has none.
         DatasetError: One does not exist, or is damaged.
     """
-    from scenegen.cli.show import note
+    from scenegen.cli.show import info
     from scenegen.dataset.collection import open_data
 
     opened = [open_data(dataset, shown=shown) for dataset in datasets]
@@ -427,7 +429,7 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[An
         if any(len(candidate.split(split)) for split in SPLITS):
             opened.append(open_data(path.parent))
         elif shown:
-            note(f"{path.parent}: holds no samples yet, so it is left out")
+            info(f"{path.parent}: holds no samples yet, so it is left out")
     if not opened:
         raise click.UsageError(
             "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"

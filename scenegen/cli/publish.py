@@ -17,9 +17,9 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
-    Tell,
+    Reporter,
     announce_compilation,
-    note,
+    info,
     seconds_taken,
     show_table,
 )
@@ -63,8 +63,8 @@ def publish(
     licence: str,
     out: Path | None,
     kind: str | None,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Verify a dataset, make a folder of it, and send that to the Hugging Face Hub.
@@ -76,7 +76,7 @@ def publish(
         DatasetError: The dataset is damaged.
         PublishError: A check fails, or the Hub refuses.
     """
-    if talk:
+    if verbose:
         announce_compilation()
     from scenegen.base.executors import check_together
     from scenegen.base.paths import check_type
@@ -87,26 +87,26 @@ def publish(
     check_type(dataset, "dataset")  # selections and collections have no folder to publish
     check_together(options["execute"], "publish takes")
     request = Request(
-        dataset=locate(dataset, shown=talk, whole=True),
+        dataset=locate(dataset, shown=verbose, whole=True),
         repository=repo,
         out=out or Path("publish") / repo.rpartition("/")[2],
         tag=tag,
         licence=licence,
         kind=kind,
     )
-    with Progress("verify", shown=talk) as progress:
+    with Progress("verify", shown=verbose) as progress:
 
         def report(staged: Any) -> None:
             progress.stop()  # the Hub's client has its own bar
-            if talk:
+            if verbose:
                 next_step = (
                     "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
                 )
-                note(f"Wrote {staged.folder}. {next_step}")
+                info(f"Wrote {staged.folder}. {next_step}")
 
         staged, commit = run_publish(
             request,
-            shown=talk,
+            shown=verbose,
             on_start=progress.start,
             on_done=progress.count,
             on_staged=report,
@@ -114,7 +114,7 @@ def publish(
         )
     size, seconds = sum(staged.files.values()), seconds_taken()
     sent = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
-    if tell(vars(staged) | sent):
+    if report_result(vars(staged) | sent):
         _show_staged(staged, commit, size, seconds)
 
 

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from lidarsim.parameters import Bounds
-from scenegen.base.errors import short
+from lidarsim.parameters import Bounds, short_repr
 from scenegen.base.paths import DATA, function_for, type_of
 from scenegen.cli.bench import chosen, shown_options
 from scenegen.cli.options import (
@@ -20,7 +19,7 @@ from scenegen.cli.options import (
     seed_option,
     split_option,
 )
-from scenegen.cli.show import note, say
+from scenegen.cli.show import echo, info
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
 
 if TYPE_CHECKING:
@@ -44,9 +43,11 @@ FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 def _width(text: str) -> float:
     """Parse a width; return inches."""
     try:
-        return Number(Bounds(least=40, most=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
+        return Number(Bounds(minimum=40, maximum=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
     except ValueError:
-        raise ValueError(f"{short(text)}: expected one, two, or 40 to 1000 millimetres") from None
+        raise ValueError(
+            f"{short_repr(text)}: expected one, two, or 40 to 1000 millimetres"
+        ) from None
 
 
 @command(
@@ -151,7 +152,7 @@ def render(
         if is_world:
             settings = {"seed": seed if flight else None}
         elif name == "scan":
-            settings = {"columns": columns} | ({} if quiet else {"report": note})
+            settings = {"columns": columns} | ({} if quiet else {"report": info})
         figure = function_for(source, "draws")(Path(source), **settings)
     if options["paper"]:
         for_paper(figure, options["paper"], font_size)
@@ -159,9 +160,9 @@ def render(
     content = figure if isinstance(figure, bytes) else to_bytes(figure, out.suffix)
     write_result(out, content)
     for line in notes:
-        note(line)
+        info(line)
     if not quiet:
-        say(f"{out}: {len(content) / 1e3:.0f} KB")
+        echo(f"{out}: {len(content) / 1e3:.0f} KB")
 
 
 def _draw_samples(

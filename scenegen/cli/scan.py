@@ -25,7 +25,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_table
+from scenegen.cli.show import Progress, Reporter, echo, info, show_columns, show_table
 from scenegen.cli.types import Named, Numbers
 from scenegen.convert import Choices
 from scenegen.logs import Cruise
@@ -92,9 +92,9 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
         show_columns(cells, list(HEADS.values()))
-        say("\nscenegen sensors NAME prints the source of its figures; --out FILE draws it")
+        echo("\nscenegen sensors NAME prints the source of its figures; --out FILE draws it")
     if out is not None and not as_json:
-        say(f"written: {out}")
+        echo(f"written: {out}")
 
 
 def _facts(sensor: "Sensor") -> "Json":
@@ -182,8 +182,8 @@ def scan(
     frame: str,
     seed: int,
     out: Path | None,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Scan the world of an MJCF file, once or along a flight, and write the returns as points.
@@ -217,21 +217,21 @@ def scan(
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain, maker = named_noise(noise, sensor), find_engine(engine)
-    setup = _Setup(sensor, chain, maker, named_world(world, seed, tell=note if talk else None))
+    setup = _Setup(sensor, chain, maker, named_world(world, seed, report=info if verbose else None))
     if sequence:
-        facts = _write_log(out, setup, Cruise(**options), seed, moving, talk)
+        facts = _write_log(out, setup, Cruise(**options), seed, moving, verbose)
     else:
         check_ours(out)  # scans may take minutes: refuse a user's own file before
         facts = _write_scan(out, setup, _pose(setup.world, pose, seed), seed, frame)
     row = {"file": str(out), "lidar": str(sensor), "noise": str(setup.noise) or "none", **facts}
-    if tell(row):
+    if report_result(row):
         left_out = ("file", "quaternion")  # the file has a line of its own
         show_table({name: value for name, value in row.items() if name not in left_out})
-        say(f"written: {out}")
+        echo(f"written: {out}")
 
 
 def _write_log(
-    out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, talk: bool
+    out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, verbose: bool
 ) -> "Json":
     """Record a log; return facts of it."""
     from scenegen.base.files import check_free
@@ -254,7 +254,7 @@ def _write_log(
         moving=moving,
         corrected=corrected,
     )
-    with Progress("scan", shown=talk) as progress:
+    with Progress("scan", shown=verbose) as progress:
         progress.start(len(poses))
         counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))

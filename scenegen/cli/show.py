@@ -22,7 +22,7 @@ MAX_BARS = 60
 """Maximum number of bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Restores a terminal after a progress bar."""
-Tell = Callable[[Any], bool]
+Reporter = Callable[[Any], bool]
 """Prints the result of a command as JSON if the user wants that, and returns whether to print it
 for people. Its argument is the result, or a function that makes it if that takes time."""
 REASONS = {
@@ -43,13 +43,13 @@ def seconds_taken() -> float:
     return time.perf_counter() - context.obj
 
 
-def say(text: object) -> None:
+def echo(text: object) -> None:
     """Print lines on standard output; control characters are escaped."""
     for line in str(text).split("\n"):
         click.echo(escaped(line))  # a file's name could hold commands for the terminal
 
 
-def note(text: object) -> None:
+def info(text: object) -> None:
     """Print a line on standard error, beside the command's result."""
     print(printable(text), file=sys.stderr)
 
@@ -65,7 +65,7 @@ def show_table(
         marks: Text and colour of a mark before the value, by the row's name.
     """
     if title:
-        say(f"\n{escaped(title)}")
+        echo(f"\n{escaped(title)}")
     # widths are those of escaped texts, which are longer
     width = max((len(escaped(name)) for name in rows), default=0)
     for name, value in rows.items():
@@ -90,7 +90,7 @@ def show_columns(
         meanings: Text behind the last column, by the name of the row.
     """
     if title:
-        say(f"\n{title}")
+        echo(f"\n{title}")
     first = max(len(escaped(name)) for name in rows)
     widths = [
         2 + max(map(len, (head, *cells)))
@@ -105,7 +105,7 @@ def show_columns(
         for name, cells in ((" " * first, heads), *rows.items()):
             row = (cells[n].rjust(widths[n]) for n in range(begin, end))
             meaning = (meanings or {}).get(name, "") if end == len(heads) else ""
-            say(f"{escaped(name).ljust(first)}{''.join(row)}  {meaning}".rstrip())
+            echo(f"{escaped(name).ljust(first)}{''.join(row)}  {meaning}".rstrip())
         begin = end
 
 
@@ -169,9 +169,9 @@ def announce_compilation() -> None:
 
     trouble = cache_trouble("scenegen")
     if trouble:
-        note(f"compiling kernels, 6 to 15 seconds; they cannot be kept: {trouble} …")
+        info(f"compiling kernels, 6 to 15 seconds; they cannot be kept: {trouble} …")
     elif no_kernels("scenegen"):
-        note("compiling kernels: once on this machine, 6 to 15 seconds …")
+        info("compiling kernels: once on this machine, 6 to 15 seconds …")
 
 
 class Progress:
@@ -236,7 +236,7 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def note(self, text: str) -> None:
+    def info(self, text: str) -> None:
         """Show a text behind the label."""
         if self._bar is not None:
             self._bar.update(self._task, description=escaped(f"{self._label} {text}"))

@@ -16,7 +16,7 @@ from scenegen.cli.options import (
     splits_option,
     workers_option,
 )
-from scenegen.cli.show import Tell, per_split, show_table
+from scenegen.cli.show import Reporter, per_split, show_table
 from scenegen.cli.types import Written, read_ranges
 from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
 
@@ -63,8 +63,8 @@ def take(
     where: Any,
     out: Path,
     workers: int,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
 ) -> None:
     """Select samples of a dataset: of a split, of some worlds, or by conditions.
 
@@ -82,7 +82,7 @@ def take(
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
     # of an incomplete dataset, later samples would be missing without a word
-    source = open_dataset(dataset, shown=talk, partial=False)
+    source = open_dataset(dataset, shown=verbose, partial=False)
     numbers = choose(source, choice, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}
     if not sum(counts.values()):
@@ -90,5 +90,5 @@ def take(
             f"{source.name}: no sample fulfils the conditions ({str(choice) or 'any'}); change them"
         )
     write_result(out, encode_selection(source, numbers, choice, out.parent))
-    if tell({"selection": str(out), "samples": counts}):
+    if report_result({"selection": str(out), "samples": counts}):
         show_table({"selection": out, "samples": per_split(counts)})

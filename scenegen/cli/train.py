@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from scenegen.base.errors import raised_as
+from scenegen.base.errors import reraise_as
 from scenegen.base.executors import cores
-from scenegen.base.limits import MOST_SAMPLES, MOST_SEED
+from scenegen.base.limits import MAX_SAMPLES, MAX_SEED
 from scenegen.cli import stops
 from scenegen.cli.bench import Weights
 from scenegen.cli.options import (
@@ -25,7 +25,7 @@ from scenegen.cli.options import (
     taken,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, curve, say
+from scenegen.cli.show import Progress, Reporter, curve, echo
 from scenegen.cli.types import Choice, DatasetPath, Named
 from scenegen.model.config import (
     INPUTS,
@@ -167,13 +167,13 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--stream-seed",
-    type=click.IntRange(0, MOST_SEED),
+    type=click.IntRange(0, MAX_SEED),
     default=0,
     help="Its seed.",
 )
 @click.option(
     "--val-maps",
-    type=click.IntRange(1, MOST_SAMPLES),
+    type=click.IntRange(1, MAX_SAMPLES),
     help="Maps of its own to validate on.  [default: 500]",
 )
 @device_option
@@ -202,8 +202,8 @@ def train(
     out: Path | None,
     device: str,
     workers: int | None,
-    tell: Tell,
-    talk: bool,
+    report_result: Reporter,
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
@@ -217,10 +217,10 @@ def train(
     from scenegen.model.training.run_folder import RunFolder
 
     first = int(os.environ.get("RANK", "0")) == 0
-    talk = first and talk
+    verbose = first and verbose
     if weights is not None:
         _take_settings(weights, options)
-    with raised_as(click.UsageError):
+    with reraise_as(click.UsageError):
         options |= {
             name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
         }
@@ -228,14 +228,14 @@ def train(
     out = out or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
-    with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, streams, stream_seed, val_maps, talk)
+    with Progress(config.network.variant, shown=verbose) as progress, stops.noted() as stop:
+        training, checking = _samples(datasets, streams, stream_seed, val_maps, verbose)
         chosen = choose_device(device)
         if workers is None:
             workers = (
                 0 if chosen.type == "cpu" else min(MAX_LOADERS, 1 << (cores().bit_length() - 1))
             )
-        shown = _Shown(config.network.variant, progress, talk)
+        shown = _Shown(config.network.variant, progress, verbose)
         rows = run(
             training,
             checking,
@@ -252,16 +252,16 @@ def train(
     best = RunFolder(out).best() or rows[-1]
     seconds = time.monotonic() - begin
     summary = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
-    if not (first and tell(summary)):
+    if not (first and report_result(summary)):
         return
     if not shown.begun:
-        say(f"{out}: this run is complete already; give another --out for another one")
+        echo(f"{out}: this run is complete already; give another --out for another one")
     curves = {"loss": "val_loss", "IoU": "val_iou", "IoU, best threshold": "val_best_iou"}
     for name, column in curves.items() if len(rows) > 1 else ():
         values = [row[column] for row in rows if column in row]  # earlier versions wrote no best
         if values:
-            say(f"validation {name:19}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
-    say(
+            echo(f"validation {name:19}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
+    echo(
         f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, "
         f"{seconds:.0f} s"
     )
@@ -272,7 +272,7 @@ def _samples(
     streams: tuple[tuple[str, float], ...],
     seed: int,
     count: int | None,
-    talk: bool,
+    verbose: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
     """What is trained on, and what validates: `datasets`, or `streams` of a `seed`, and `count`
     maps of theirs."""
@@ -285,7 +285,7 @@ def _samples(
             raise click.UsageError(
                 "--stream-seed and --val-maps are a stream's; name one, such as --stream pillar"
             )
-        folders = find_datasets(names, shown=talk)
+        folders = find_datasets(names, shown=verbose)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
     if datasets and count is not None:
@@ -298,7 +298,7 @@ def _samples(
             raise click.UsageError(
                 "with --stream, datasets validate, and have no weights; give those of --stream"
             )
-        return training, opened(find_datasets(names, shown=talk), "val")
+        return training, opened(find_datasets(names, shown=verbose), "val")
     return training, [stream(streams, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
@@ -330,8 +330,8 @@ class _Shown:
     """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
     an epoch."""
 
-    def __init__(self, variant: str, progress: Progress, talk: bool):
-        self._variant, self._progress, self._talk = variant, progress, talk
+    def __init__(self, variant: str, progress: Progress, verbose: bool):
+        self._variant, self._progress, self._talk = variant, progress, verbose
         self._recent, self._iou, self.begun = 0.0, "", False
 
     def on_start(self, epoch: int, total: int, done: int) -> None:
@@ -341,13 +341,13 @@ class _Shown:
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
         self._progress.count(maps)
-        self._progress.note(f"loss {self._recent:.4f}{self._iou}")
+        self._progress.info(f"loss {self._recent:.4f}{self._iou}")
 
     def on_epoch(self, row: "Scalars") -> None:
         self._iou = f", validation {_ious(row)}"
         if self._talk:
             loss, seconds = row["train_loss"], row["seconds"]
-            say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
+            echo(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
 
 
 def _validated(row: "Scalars") -> str:

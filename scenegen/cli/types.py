@@ -9,8 +9,8 @@ import rich_click as click
 from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
-from lidarsim.registry import MOST_NAMED, Registry, suggestion
-from scenegen.base.errors import printable, raised_as
+from lidarsim.registry import MAX_NAMED, Registry, suggestion
+from scenegen.base.errors import printable, reraise_as
 
 MAX_REPEATED = 60
 """Maximum characters of a value that an error repeats."""
@@ -111,7 +111,7 @@ class Choice(click.Choice[str]):
             ctx: The context, unused.
         """
         hint = suggestion(str(value), self.choices)
-        return f"{str(value)[:MOST_NAMED]!r} is none of them; {hint}"
+        return f"{str(value)[:MAX_NAMED]!r} is none of them; {hint}"
 
 
 class DatasetPath(Written, click.Path):
@@ -184,7 +184,7 @@ class OutputFile(OutputFolder):
             return path
         if self.ends and path.suffix not in self.ends:
             raise ValueError(f"{path}: expected a name that ends in {' or '.join(self.ends)}")
-        with raised_as(ValueError, of=DatasetError):
+        with reraise_as(ValueError, of=DatasetError):
             check_ours(path)  # now, and not after hours of work
         return path
 

@@ -17,9 +17,9 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
-    Tell,
+    Reporter,
     announce_compilation,
-    say,
+    echo,
     show_table,
 )
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 )
 @executing
 @printing
-def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
+def verify(dataset: Path | str, report_result: Reporter, verbose: bool, **options: Any) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits.
 
     Exit code 1: a check failed. Exit code 3: no check failed, but flights differ, since other
@@ -54,15 +54,15 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
         ScenegenError: A check failed.
         UndecidedError: Other versions of software made the flights.
     """
-    if talk:
+    if verbose:
         announce_compilation()
     from scenegen.verification import verify as prove
 
     begin = time.perf_counter()
-    with Progress("verify", shown=talk) as progress:
+    with Progress("verify", shown=verbose) as progress:
         report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
     seconds = time.perf_counter() - begin
-    if tell({**report.to_json(), "seconds": seconds}):
+    if report_result({**report.to_json(), "seconds": seconds}):
         _show_checks(report, seconds)
     if not report.ok:
         raise ScenegenError(
@@ -89,11 +89,11 @@ def _show_checks(report: "Report", seconds: float) -> None:
             marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
         rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
     show_table(rows, marks=marks)
-    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    echo(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
     if report.ok:
         skipped = sum(check.skipped for check in report.checks)
         differing = len(report.differing)
         passed = len(report.checks) - skipped - differing
         counts = {"differ": differing, "skipped": skipped}
         parts = [f"{count} {name}" for name, count in counts.items() if count]
-        say(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")
+        echo(", ".join([f"{passed} passed", *parts]) if parts else f"all {passed} checks passed")

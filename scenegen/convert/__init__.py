@@ -42,7 +42,7 @@ class Choices(Checked):
     unseen_invalid: bool = False
     """SemanticKITTI: mark voxels that no ray met as invalid. Its score then ignores occluded
     voxels, which are those to complete."""
-    label: int = number(50, least=1, most=65535)
+    label: int = number(50, minimum=1, maximum=65535)
     """SemanticKITTI: label of occupied voxels without a class, or with one that the format lacks.
     50 is a building. (SemanticKITTI counts its "other" labels as empty.)"""
     frame: Literal["body", "world"] = "body"

@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import DatasetError, printable, raised_as
+from scenegen.base.errors import DatasetError, printable, reraise_as
 from scenegen.base.executors import Counted, Executor, chunked, counted, unheard
-from scenegen.base.files import claim, make_parent, remove_drafts, write_whole
+from scenegen.base.files import claim, make_parent, remove_temp_files, write_atomic
 from scenegen.base.workers import ALONE
 from scenegen.convert import FORMATS, Choices
 from scenegen.convert.formats import Classed, OneEach
@@ -72,7 +72,7 @@ def convert(
     Raises:
         DatasetError: There is no such format, `out` holds another conversion, or the disk fails.
     """
-    with raised_as(DatasetError):
+    with reraise_as(DatasetError):
         kind = FORMATS.find(to)
     form = kind(choices)
     manifests = [part.manifest for part in dataset.datasets]
@@ -119,7 +119,7 @@ def convert(
             broken[rows] = wrong
     finally:
         for folder in out.glob("**/"):  # temporary files of killed runs
-            remove_drafts(folder)
+            remove_temp_files(folder)
     # in the order of samples, however workers finished
     lines = tuple(line for rows in tasks for line in broken[rows])
     remaining = sum(len(rows.numbers) for rows in whole) - total
@@ -165,7 +165,7 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
             files = {left_out: "\n".join(lines).encode()} | files
         for path, content in files.items():
             make_parent(path)
-            write_whole(path, content, sync=False)
+            write_atomic(path, content, sync=False)
         if not lines:
             left_out.unlink(missing_ok=True)
     return rows, existing, broken

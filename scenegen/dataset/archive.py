@@ -12,14 +12,15 @@ from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
-from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.base.files import check_ours, disk_told, make_parent, write_result, write_whole
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import CorruptFileError, DatasetError, printable, reraise_as
+from scenegen.base.files import check_ours, disk_errors, make_parent, write_atomic, write_result
 from scenegen.base.limits import (
-    MOST_ARCHIVE_BYTES,
-    MOST_ASSET_BYTES,
-    MOST_CELLS,
-    MOST_DOCUMENT_BYTES,
-    MOST_MEMBERS,
+    MAX_ARCHIVE_BYTES,
+    MAX_ASSET_BYTES,
+    MAX_CELLS,
+    MAX_DOCUMENT_BYTES,
+    MAX_MEMBERS,
 )
 from scenegen.base.reading import read_bounded
 
@@ -42,8 +43,8 @@ class Members(dict[str, zipfile.ZipInfo]):
         """Unpack a member.
 
         Raises:
-            BrokenError: if its size differs from the directory's, or it is an image that would take
-                too much memory.
+            CorruptFileError: if its size differs from the directory's, or it is an image that would
+                take too much memory.
         """
         member = self[name]
         # `ZipFile.read` would unpack everything before it compares sizes
@@ -51,15 +52,15 @@ class Members(dict[str, zipfile.ZipInfo]):
             content = file.read(member.file_size + 1)
         # limits were checked for the size in the directory, so the content must have that size
         if len(content) != member.file_size:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"member {name}: {len(content)} bytes unpacked, expected {member.file_size}"
             )
         # a small PNG may declare a huge image, which MuJoCo would allocate
         if content[:8] == b"\x89PNG\r\n\x1a\n":
             width, height = struct.unpack(">II", content[16:24])
-            if width * height > MOST_CELLS:
-                raise BrokenError(
-                    f"member {name}: an image of {width} x {height}, expected {MOST_CELLS} at most"
+            if width * height > MAX_CELLS:
+                raise CorruptFileError(
+                    f"member {name}: an image of {width} x {height}, expected {MAX_CELLS} at most"
                 )
         return content
 
@@ -99,17 +100,17 @@ def open_archive(file: BufferedReader, name: str) -> Iterator[Members]:
         The members.
 
     Raises:
-        BrokenError: if the archive is damaged, or reading a member in the block fails.
+        CorruptFileError: if the archive is damaged, or reading a member in the block fails.
     """
     try:
         _check_directory(file)
         with zipfile.ZipFile(file) as archive:
             _check_members(archive.infolist())
             yield Members(archive)
-    except BrokenError as error:
-        raise BrokenError(f"{name}: {error}") from None
+    except CorruptFileError as error:
+        raise CorruptFileError(f"{name}: {error}") from None
     except Exception as error:  # a crafted file may raise any error of zipfile, zlib or struct
-        raise BrokenError(
+        raise CorruptFileError(
             f"{name}: is damaged ({printable(error)[:200] or type(error).__name__})"
         ) from None
 
@@ -117,18 +118,18 @@ def open_archive(file: BufferedReader, name: str) -> Iterator[Members]:
 def _check_directory(file: BufferedReader) -> None:
     """Check the size of the directory of members before zipfile reads it into memory."""
     size = file.seek(0, os.SEEK_END)
-    if size > MOST_ARCHIVE_BYTES:
-        raise BrokenError(f"{size} bytes, expected {MOST_ARCHIVE_BYTES} at most")
+    if size > MAX_ARCHIVE_BYTES:
+        raise CorruptFileError(f"{size} bytes, expected {MAX_ARCHIVE_BYTES} at most")
     # the end record has 22 bytes, and the 20 before it would be a zip64 locator
     file.seek(max(size - 42, 0))
     end = file.read(42)
     # PK\6\7 would point to a second directory (zip64) of any size
     if len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7":
-        raise BrokenError("is not a whole zip file: it does not end as one")
+        raise CorruptFileError("is not a whole zip file: it does not end as one")
     count, length = struct.unpack("<HI", end[-12:-6])
-    if count > MOST_MEMBERS or length > MOST_MEMBERS * 200:
-        raise BrokenError(
-            f"{count} members listed in {length} bytes, expected {MOST_MEMBERS} members at most"
+    if count > MAX_MEMBERS or length > MAX_MEMBERS * 200:
+        raise CorruptFileError(
+            f"{count} members listed in {length} bytes, expected {MAX_MEMBERS} members at most"
         )
 
 
@@ -138,30 +139,34 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
         name = member.filename
         # zipfile cuts names at a NUL, so the original is compared as well
         if not PLAIN.fullmatch(name) or member.orig_filename != name:
-            raise BrokenError(
-                f"member {short(name)}: expected a plain file name, of a file beside the others"
+            raise CorruptFileError(
+                f"member {short_repr(name)}: expected a plain file name, of a file beside the "
+                "others"
             )
         if name.endswith(".xml") and not MEMBER.fullmatch(name):
-            raise BrokenError(
-                f"member {short(name)}: expected a world's number, six digits or more, before .xml"
+            raise CorruptFileError(
+                f"member {short_repr(name)}: expected a world's number, six digits or more, "
+                "before .xml"
             )
         if (
             member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
             or member.flag_bits & 1
         ):
-            raise BrokenError(f"member {name}: is encrypted or packed otherwise than by deflate")
-        max_bytes = MOST_DOCUMENT_BYTES if name.endswith(".xml") else MOST_ASSET_BYTES
+            raise CorruptFileError(
+                f"member {name}: is encrypted or packed otherwise than by deflate"
+            )
+        max_bytes = MAX_DOCUMENT_BYTES if name.endswith(".xml") else MAX_ASSET_BYTES
         if member.file_size > max_bytes:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"member {name}: {member.file_size} bytes unpacked, expected {max_bytes} at most"
             )
         total += member.file_size
-    if total > MOST_ARCHIVE_BYTES:
-        raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
+    if total > MAX_ARCHIVE_BYTES:
+        raise CorruptFileError(f"{total} bytes unpacked, expected {MAX_ARCHIVE_BYTES} at most")
     # of two members with the same name, readers may use either
     for name, count in Counter(member.filename for member in members).most_common(1):
         if count > 1:
-            raise BrokenError(f"member {name}: is there twice")
+            raise CorruptFileError(f"member {name}: is there twice")
 
 
 FOLDERS = ("assetdir", "meshdir", "texturedir")
@@ -196,7 +201,7 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
     """Make `document` refer to its files in `folder`."""
     fault = f"{output}: the archived world is no XML: "
     errors = (ElementTree.ParseError, ValueError, RecursionError)
-    with raised_as(DatasetError, fault, "; verify the dataset", of=errors):
+    with reraise_as(DatasetError, fault, "; verify the dataset", of=errors):
         root = ElementTree.fromstring(document)
     for compiler in root.iter("compiler"):
         for name in FOLDERS:
@@ -208,12 +213,12 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
 
 def _add(files: Mapping[str, bytes], folder: Path) -> None:
     """Write `files` into `folder`. Equal files may exist there."""
-    with disk_told(folder):
+    with disk_errors(folder):
         folder.mkdir(exist_ok=True)
     absent = {name: content for name, content in files.items() if not (folder / name).exists()}
     # several worlds may share a folder: equal files are kept
     for name in files.keys() - absent.keys():
-        if read_bounded(folder / name, MOST_ASSET_BYTES) != files[name]:
+        if read_bounded(folder / name, MAX_ASSET_BYTES) != files[name]:
             raise DatasetError(f"{folder / name}: is there and another file; give another -o")
     for name, content in absent.items():
-        write_whole(folder / name, content)
+        write_atomic(folder / name, content)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS
-from scenegen.base.errors import BrokenError, DatasetError, raised_as, whole_number
+from scenegen.base.errors import CorruptFileError, DatasetError, check_int, reraise_as
 from scenegen.base.executors import Counted, Executor, software, undone, unheard
 from scenegen.base.files import writable
-from scenegen.base.limits import MOST_SAMPLES_IN_SHARD, MOST_SEED, MOST_SHARDS, USUAL_IN_SHARD
+from scenegen.base.limits import MAX_SAMPLES_IN_SHARD, MAX_SEED, MAX_SHARDS, USUAL_IN_SHARD
 from scenegen.base.stores import Place
 from scenegen.base.workers import Local
 from scenegen.dataset import manifest
@@ -29,7 +29,7 @@ from scenegen.draw.source import Source
 from scenegen.worlds.recipe import Recipe
 
 NOTE_S = 30.0
-"""Interval at which a run records finished shards, seconds. With `MOST_SHARDS`, recording takes
+"""Interval at which a run records finished shards, seconds. With `MAX_SHARDS`, recording takes
 some seconds."""
 
 
@@ -86,8 +86,8 @@ def plan_dataset(
         DatasetError: if the engine is not available, or a number exceeds a limit of readers.
     """
     find_engine(engine)
-    seed = whole_number("--seed", seed, 0, MOST_SEED)
-    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    seed = check_int("--seed", seed, 0, MAX_SEED)
+    shard_samples = check_int("--shard-samples", shard_samples, 1, MAX_SAMPLES_IN_SHARD)
     scenes = source.describe()
     planned = Manifest(
         generator=GENERATOR,
@@ -103,7 +103,7 @@ def plan_dataset(
         software=software(),
         folder=Path(str(folder)),
     )
-    with raised_as(DatasetError, "a manifest cannot say what is asked for: ", of=BrokenError):
+    with reraise_as(DatasetError, "a manifest cannot say what is asked for: ", of=CorruptFileError):
         # a manifest that no reader accepts is refused before anything is drawn
         manifest.parse(manifest.encode(planned))
     # cached properties would read the table of rays from the folder, where it is not written yet
@@ -111,10 +111,10 @@ def plan_dataset(
     viewpoints = recipe.flight.viewpoints
     # a shard holds whole flights, at least one
     step = max(shard_samples // viewpoints, 1)
-    if (samples := sum(counts.values())) > MOST_SHARDS * step * viewpoints:
+    if (samples := sum(counts.values())) > MAX_SHARDS * step * viewpoints:
         raise DatasetError(
-            f"--shard-samples {shard_samples}: {samples} samples are more than {MOST_SHARDS} "
-            f"shards of {step * viewpoints}; give {-(-samples // MOST_SHARDS)} or more"
+            f"--shard-samples {shard_samples}: {samples} samples are more than {MAX_SHARDS} "
+            f"shards of {step * viewpoints}; give {-(-samples // MAX_SHARDS)} or more"
         )
     shards = []
     for split in SPLITS:
@@ -148,7 +148,7 @@ def recipe_entry(recipe: Recipe) -> RecipeEntry:
     """Describe a recipe in a manifest.
 
     Raises:
-        BrokenError: if the noise cannot be described.
+        CorruptFileError: if the noise cannot be described.
     """
     world = None if recipe.world is None else plain(asdict(recipe.world))
     return RecipeEntry(

@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS
-from scenegen.base.errors import DatasetError, printable, short
-from scenegen.base.files import write_whole
-from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SOURCES
+from scenegen.base.errors import DatasetError, printable
+from scenegen.base.files import write_atomic
+from scenegen.base.limits import MAX_MANIFEST_BYTES, MAX_SOURCES
 from scenegen.base.paths import DATA, check_type
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import is_remote
@@ -151,7 +152,7 @@ def check_together(datasets: Sequence[Dataset]) -> None:
                 before, owner = split_of_world.setdefault(scene.sha256, (split, dataset))
                 if before != split:
                     raise DatasetError(
-                        f"{dataset.name}: its {split} world {short(scene.file)} is a {before} "
+                        f"{dataset.name}: its {split} world {short_repr(scene.file)} is a {before} "
                         f"world of {owner.name}; no world may be in two splits"
                     )
 
@@ -161,7 +162,7 @@ SELECTION_SUFFIX = ".json"
 
 FilePath = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,4096}\Z")]
 """Without control characters: the system rejects NUL, and errors must be one line."""
-Paths = Annotated[list[FilePath], Meta(min_length=1, max_length=MOST_SOURCES)]
+Paths = Annotated[list[FilePath], Meta(min_length=1, max_length=MAX_SOURCES)]
 Numbers = list[Annotated[int, Meta(ge=0)]]
 
 
@@ -191,7 +192,7 @@ class SelectionFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     version: Literal[1] = 1
     chosen_by: str
     """How the samples were chosen, as options of the command line."""
-    datasets: Annotated[list[SelectedDataset], Meta(min_length=1, max_length=MOST_SOURCES)]
+    datasets: Annotated[list[SelectedDataset], Meta(min_length=1, max_length=MAX_SOURCES)]
 
 
 Name = str | PurePath
@@ -281,7 +282,7 @@ def write_collection(folder: Path, members: Sequence[str]) -> None:
     """
     document = CollectionFile(datasets=list(members))
     content = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-    write_whole(folder / COLLECTION, content)
+    write_atomic(folder / COLLECTION, content)
 
 
 def name_from(folder: Path, dataset: Path) -> str:
@@ -336,7 +337,7 @@ def _selection(path: Path, *, partial: bool, checked: bool) -> Collection:
 def _decoded(path: Path, kind: Any) -> Any:
     """Decode a JSON file by a schema. Raises DatasetError if it does not fit."""
     try:
-        return msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=kind)
+        return msgspec.json.decode(read_bounded(path, MAX_MANIFEST_BYTES), type=kind)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         noun = "collection's list" if kind is CollectionFile else "dataset, collection or selection"
         raise DatasetError(f"{path}: is no {noun} ({printable(error)[:200]})") from None

@@ -10,18 +10,18 @@ from typing import Any
 from lidarsim import Sensor
 from lidarsim.engines import DEFAULT
 from lidarsim.noise.chain import Noise
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS
 from scenegen.base.errors import (
-    AskedError,
     DatasetError,
     RecipeError,
     SceneError,
-    raised_as,
-    short,
-    whole_number,
+    UsageError,
+    check_int,
+    reraise_as,
 )
-from scenegen.base.files import Json, disk_told
-from scenegen.base.limits import MOST_SAMPLES
+from scenegen.base.files import Json, disk_errors
+from scenegen.base.limits import MAX_SAMPLES
 from scenegen.base.stores import Place, Store, place_of
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.collection import COLLECTION, members_of, open_data, write_collection
@@ -62,7 +62,7 @@ class Plans:
             return
         members = [plan.name for plan in self.datasets]
         path = self.folder / COLLECTION
-        with disk_told(self.folder):
+        with disk_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             names = {item.name for item in self.folder.iterdir()} - {COLLECTION, *members}
         # temporary files of other runs are ignored
@@ -179,14 +179,14 @@ def plan_generation(
         DatasetError: if a number is out of range, or `like` is no dataset.
     """
     if kind is None and scene is None and recipe is None and like is None:
-        raise AskedError(
+        raise UsageError(
             "no worlds are named; give a kind, such as --kind pillar, a --scene, a --recipe, or a "
             "dataset with --like"
         )
     if kind is not None and scene is not None:
-        raise AskedError("a kind draws worlds and a scene has them; give one of the two")
+        raise UsageError("a kind draws worlds and a scene has them; give one of the two")
     for name in parts.keys() - PARTS.keys():
-        raise AskedError(f"unknown option {short(name)}; expected {', '.join(PARTS)}")
+        raise UsageError(f"unknown option {short_repr(name)}; expected {', '.join(PARTS)}")
     mapping = mapping or None  # without parameters, the recipe's mapping stays
     sensing: Json = {"lidar": lidar, "noise": noise, "mapping": mapping}
     storage: Json = {"compact": compact}
@@ -201,7 +201,7 @@ def plan_generation(
             **parts,
         }
         if conflicts := [name for name, value in world_options.items() if value]:
-            raise AskedError(f"--like says all of worlds; leave out {', '.join(conflicts)}")
+            raise UsageError(f"--like says all of worlds; leave out {', '.join(conflicts)}")
         numbers = None
         # without numbers, those of the original are kept
         if (n, val, test) != (None, None, None):
@@ -214,7 +214,7 @@ def plan_generation(
     number, seed = 2500 if n is None else n, seed or 0
     if isinstance(recipe, Recipe):
         if kind_name not in (None, recipe.kind) or any(preset_options.values()):
-            raise AskedError(
+            raise UsageError(
                 f"a whole Recipe, of kind {recipe.kind}, says all but worlds from files; leave "
                 f"out a kind, {', '.join(preset_options)}"
             )
@@ -284,11 +284,11 @@ def _plan_like(
 ) -> Plans:
     """Plan a dataset like another one; see `plan_generation`."""
     if out is None:
-        raise AskedError("a dataset like another one needs a folder of its own; give --out")
+        raise UsageError("a dataset like another one needs a folder of its own; give --out")
     folder, lidar = _folder(out, ""), sensing["lidar"]
     sensor = None if lidar is None else named_lidar(lidar)
     noise_text = sensing["noise"]
-    with raised_as(RecipeError):
+    with reraise_as(RecipeError):
         noise = None if noise_text is None else Noise.parse(noise_text, sensor)
     changes: Json = {} if counts is None else {"counts": counts}
     changes |= {"compact": True} if compact else {}
@@ -308,10 +308,10 @@ def _plan_like(
 def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
     """Number of samples of each split. All samples of a single world are for training by default.
     Raises DatasetError for numbers out of range."""
-    n = whole_number("--n", n, 0, MOST_SAMPLES)
+    n = check_int("--n", n, 0, MAX_SAMPLES)
     usual = {"val": 0 if alone else max(n // 10, 1), "test": 0 if alone else max(n // 5, 1)}
     return {"train": n} | {
-        split: usual[split] if count is None else whole_number(f"--{split}", count, 0, MOST_SAMPLES)
+        split: usual[split] if count is None else check_int(f"--{split}", count, 0, MAX_SAMPLES)
         for split, count in (("val", val), ("test", test))
     }
 

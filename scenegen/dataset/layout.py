@@ -19,7 +19,8 @@ import isal.isal_zlib
 import msgspec
 import numpy as np
 
-from scenegen.base.errors import BrokenError, DatasetError, raised_as, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import CorruptFileError, DatasetError, reraise_as
 from scenegen.base.mirrors import fetch
 from scenegen.base.reading import open_bounded, sha256_in, size_of
 from scenegen.draw.sample import DERIVED, FIELDS, Sample, Schema
@@ -58,7 +59,7 @@ def layout_of(fields: Iterable[str], schema: Schema) -> Layout:
     return {**columns, DIGEST: (np.dtype(np.uint8), (32,))}
 
 
-def most_bytes(layout: Layout, samples: int) -> int:
+def max_bytes(layout: Layout, samples: int) -> int:
     """Maximum size of a shard's file, bytes, if nothing in it compresses.
 
     Args:
@@ -162,10 +163,10 @@ class ShardFile:
             An array, or a scalar.
 
         Raises:
-            BrokenError: if the chunk cannot be unpacked, or a flag is neither 0 nor 1.
+            CorruptFileError: if the chunk cannot be unpacked, or a flag is neither 0 nor 1.
         """
         column, where = self.columns[name], f"{self.name}: sample {row}: {name}"
-        with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=READ_ERRORS):
+        with reraise_as(CorruptFileError, f"{where} cannot be unpacked: ", of=READ_ERRORS):
             raw = column.read((row,) + (0,) * (len(column.shape) - 1))
         is_bool = column.dtype == np.bool_
         values = np.frombuffer(
@@ -173,12 +174,12 @@ class ShardFile:
         )
         # numpy's results are undefined for other bytes in a bool array
         if is_bool and values.max(initial=0) > 1:
-            raise BrokenError(f"{where} holds bytes other than 0 and 1")
+            raise CorruptFileError(f"{where} holds bytes other than 0 and 1")
         # a single value is a number, and no array
         return values.view(column.dtype).reshape(column.shape[1:])[()]
 
     def column(self, name: str) -> np.ndarray:
-        """Read a field of all samples, (N, ...). Raises BrokenError."""
+        """Read a field of all samples, (N, ...). Raises CorruptFileError."""
         rows = range(self.columns[name].shape[0])
         return np.stack([self.value(name, row, read_only=True) for row in rows])
 
@@ -189,7 +190,7 @@ class ShardFile:
             row: Number of the sample in the shard.
 
         Raises:
-            BrokenError: if they differ.
+            CorruptFileError: if they differ.
         """
         placeholders: dict[str, Any] = {
             name: np.empty(0, FIELDS[name]["dtype"]) for name in DERIVED
@@ -198,7 +199,7 @@ class ShardFile:
         values = {name: self.value(name, row, read_only=True) for name in stored}
         sample = Sample(**placeholders, **values)
         if sample.sha256() != self.value(DIGEST, row).tobytes():
-            raise BrokenError(
+            raise CorruptFileError(
                 f"{self.name}: sample {row}: its content does not have the digest stored beside it"
             )
 
@@ -217,22 +218,23 @@ class ShardFile:
             expected: Expected values by the attribute's name.
 
         Raises:
-            BrokenError: if one differs.
+            CorruptFileError: if one differs.
         """
         for name, value in expected.items():
             if self.attributes[name] != value:
-                raise BrokenError(
-                    f"{self.name}: was written with {name} {short(self.attributes[name])}, "
+                raise CorruptFileError(
+                    f"{self.name}: was written with {name} {short_repr(self.attributes[name])}, "
                     f"the manifest's is "
                     f"{value!r}: one of the two was edited, or the shard is another dataset's"
                 )
 
     def rejected(self) -> dict[str, Counter[str]]:
-        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises BrokenError."""
+        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises "
+        "CorruptFileError."""
         text = self.attributes["rejected"]
-        fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
+        fault = f"{self.name}: attribute rejected = {short_repr(text)}: expected counts as JSON"
         errors = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors
-        with raised_as(lambda _: BrokenError(fault), of=errors):
+        with reraise_as(lambda _: CorruptFileError(fault), of=errors):
             counts = msgspec.json.decode(str(text), type=Rejected)
         return {"worlds": Counter(counts.worlds), "viewpoints": Counter(counts.viewpoints)}
 
@@ -241,11 +243,11 @@ def open_file(path: Path) -> BufferedReader:
     """Open a regular file; in a mirror, it is fetched first.
 
     Raises:
-        BrokenError: if it is missing or cannot be read.
+        CorruptFileError: if it is missing or cannot be read.
         StoreError: if it cannot be fetched.
     """
     fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
-    with raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError)):
+    with reraise_as(lambda _: CorruptFileError(fault), of=(FileNotFoundError, DatasetError)):
         fetch(path)
         return open_bounded(path, sys.maxsize)
 
@@ -259,10 +261,10 @@ def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
         sha256: The SHA-256 in the manifest.
 
     Raises:
-        BrokenError: if they differ.
+        CorruptFileError: if they differ.
     """
     if sha256_in(file) != sha256:
-        raise BrokenError(f"{name}: is not the file that the manifest lists")
+        raise CorruptFileError(f"{name}: is not the file that the manifest lists")
 
 
 def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
@@ -274,14 +276,14 @@ def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
         layout: Expected HDF5 datasets; others are refused.
 
     Raises:
-        BrokenError: if the file is missing, damaged, or has another layout.
+        CorruptFileError: if the file is missing, damaged, or has another layout.
     """
     with open_file(path) as file:
-        size, limit = size_of(file), most_bytes(layout, samples)
+        size, limit = size_of(file), max_bytes(layout, samples)
     if size > limit:
-        raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {limit} at most")
+        raise CorruptFileError(f"{path.name}: {size} bytes, {samples} samples take {limit} at most")
     # the size is checked first, so that HDF5 never opens a file of unexpected size
-    with raised_as(BrokenError, f"{path.name}: is damaged: ", of=READ_ERRORS):
+    with reraise_as(CorruptFileError, f"{path.name}: is damaged: ", of=READ_ERRORS):
         # HDF5's cache of chunks, which `Chunks` reads past, would take 0.7 MB a shard
         opened = h5py.File(path, "r", rdcc_nbytes=0, rdcc_nslots=1)
         try:
@@ -295,24 +297,26 @@ def open_shard(path: Path, samples: int, layout: Layout) -> ShardFile:
 def _checked(file: h5py.File, name: str, samples: int, layout: Layout) -> ShardFile:
     """Check the layout of an open file. `name` is its name in messages."""
     if unexpected := sorted(set(file) ^ set(layout)):
-        listed = ", ".join(short(field)[1:-1] for field in unexpected)
-        raise BrokenError(f"{name}: {listed}: there or missing, expected just {', '.join(layout)}")
+        listed = ", ".join(short_repr(field)[1:-1] for field in unexpected)
+        raise CorruptFileError(
+            f"{name}: {listed}: there or missing, expected just {', '.join(layout)}"
+        )
     columns = {}
     for field, (dtype, shape) in layout.items():
         where = f"{name}: {field}"
-        with raised_as(BrokenError, f"{where} ", of=READ_ERRORS):
+        with reraise_as(CorruptFileError, f"{where} ", of=READ_ERRORS):
             column = columns[field] = Chunks(_dataset(file, field))
         if column.dtype != dtype or column.shape != (samples, *shape):
-            raise BrokenError(
+            raise CorruptFileError(
                 f"{where} is {column.dtype} {column.shape[:4]}, expected {dtype} "
                 f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
                 "sensor's shape"
             )
         # other chunks could make reading one sample unpack the whole file
         if column.chunk != (1, *shape):
-            raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
+            raise CorruptFileError(f"{where} has other chunks than one a sample, {(1, *shape)}")
         if (stored := column.dataset.get_num_chunks()) != samples:
-            raise BrokenError(f"{where}: {stored} of {samples} samples are stored")
+            raise CorruptFileError(f"{where}: {stored} of {samples} samples are stored")
     attributes = {attribute: _attribute(file.attrs, attribute) for attribute in ATTRIBUTES}
     return ShardFile(file, name, columns, attributes)
 

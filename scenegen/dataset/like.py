@@ -13,8 +13,9 @@ import numpy as np
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
+from lidarsim.parameters import short_repr
 from scenegen import GENERATOR, __version__
-from scenegen.base.errors import BrokenError, DatasetError, GenerationError, raised_as, short
+from scenegen.base.errors import CorruptFileError, DatasetError, GenerationError, reraise_as
 from scenegen.base.files import Json, real_path
 from scenegen.base.paths import check_type, type_of
 from scenegen.base.stores import Place
@@ -177,7 +178,7 @@ class ScanAgain(ShardSpec):
         key = UnitKey(self.seed, self.split, unit)
         mapping, original = self.recipe.mapping, dataset.manifest.mapping
         prefix = f"{dataset.folder}: {self.split} sample: "
-        with raised_as(DatasetError, prefix, "; verify the dataset"):
+        with reraise_as(DatasetError, prefix, "; verify the dataset"):
             poses = [[scan.pose for scan in sample.scans()[: mapping.scans]] for sample in samples]
         # stored earlier poses serve if the new mapping needs no others
         if mapping.scans > original.scans or mapping.scan_spacing_m != original.scan_spacing_m:
@@ -237,12 +238,13 @@ def plan_like(
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
     if engine is None and original.engine not in ENGINES.builtin:
         raise DatasetError(
-            f"{name}: made with the engine {short(original.engine)}, which is not imported because "
+            f"{name}: made with the engine {short_repr(original.engine)}, which is not "
+            "imported because "
             "a manifest names it; give --engine with its name, or one of ours"
         )
     if not original.noise_is_ours and noise is None:
         raise DatasetError(
-            f"{name}: its noise, {short(original.noise_stages)}, has stages that are none of "
+            f"{name}: its noise, {short_repr(original.noise_stages)}, has stages that are none of "
             "scenegen's own, which are not imported because a manifest names them; give --noise"
         )
     if pose_settings := sorted({"tilt_mps", "settle_s", "most_tilt_deg"} & set(mapping or {})):
@@ -252,7 +254,7 @@ def plan_like(
         )
     engine = engine or original.engine
     find_engine(engine)
-    with raised_as(DatasetError, f"{name}: ", of=(BrokenError, ValueError)):
+    with reraise_as(DatasetError, f"{name}: ", of=(CorruptFileError, ValueError)):
         recipe = original.recipe
         changed = replace(
             recipe,
@@ -305,7 +307,7 @@ def _manifest_of(path: Path, kind: str | None) -> Manifest:
     original = manifest.load(folder)
     if kind is not None:
         if kind != original.kind:
-            raise DatasetError(f"--kind {kind}: the dataset's kind is {short(original.kind)}")
+            raise DatasetError(f"--kind {kind}: the dataset's kind is {short_repr(original.kind)}")
         original = manifest.parse(manifest.read_content(folder), folder, kind)
     return original
 
@@ -329,5 +331,5 @@ def check_same(original: Manifest, name: str | Path) -> None:
         made_by = original.software.get("scenegen", "of another version")
         raise DatasetError(
             f"{name}: scenegen {__version__} would not make the same dataset again "
-            f"({', '.join(lines)}); use scenegen {short(made_by)}"
+            f"({', '.join(lines)}); use scenegen {short_repr(made_by)}"
         )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from scenegen.base.errors import DatasetError, StoreError, needs, printable
 from scenegen.base.executors import LOCATED
-from scenegen.base.limits import MOST_MANIFEST_BYTES
+from scenegen.base.limits import MAX_MANIFEST_BYTES
 from scenegen.base.mirrors import fetch_all, make_mirror, note_files
 from scenegen.base.reading import sha256_in
 from scenegen.base.stores import Store, is_remote
@@ -81,7 +81,7 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
         return folder
     store = Store(str(name))
     try:
-        content = store.read(NAME, MOST_MANIFEST_BYTES)
+        content = store.read(NAME, MAX_MANIFEST_BYTES)
     except FileNotFoundError:
         raise DatasetError(
             f"{name}: not a dataset, it has no {NAME}; make one with `scenegen generate "
@@ -255,7 +255,7 @@ def _check_listing(repository: str, revision: str | None) -> None:
     sizes = {file.rfilename: file.size or 0 for file in info.siblings or []}
     if NAME not in sizes:
         raise DatasetError(f"{SCHEME}{repository}: not a scenegen dataset, it has no {NAME}")
-    if sizes[NAME] > MOST_MANIFEST_BYTES:
+    if sizes[NAME] > MAX_MANIFEST_BYTES:
         raise DatasetError(
             f"{SCHEME}{repository}: its {NAME} has {sizes[NAME]} bytes; that is no manifest of ours"
         )

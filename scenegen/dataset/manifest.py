@@ -21,23 +21,23 @@ from msgspec import Struct
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.noise import STAGES
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS, __version__
 from scenegen.base.errors import (
-    BrokenError,
+    CorruptFileError,
     DatasetError,
-    NewerError,
     RecipeError,
     StoreError,
+    UnsupportedVersionError,
     printable,
-    raised_as,
-    short,
+    reraise_as,
 )
-from scenegen.base.files import Json, write_whole
+from scenegen.base.files import Json, write_atomic
 from scenegen.base.limits import (
-    MOST_MANIFEST_BYTES,
-    MOST_RAYS_IN_SAMPLE,
-    MOST_VIEWPOINTS,
-    MOST_VOXELS,
+    MAX_MANIFEST_BYTES,
+    MAX_RAYS_IN_SAMPLE,
+    MAX_VIEWPOINTS,
+    MAX_VOXELS,
 )
 from scenegen.base.reading import sha256_of
 from scenegen.base.stores import ConflictError, Place, Store, read_at
@@ -115,32 +115,33 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """Grid of the maps.
 
         Raises:
-            BrokenError: if it is invalid or too large.
+            CorruptFileError: if it is invalid or too large.
         """
         grid: GridSpec = configured(GridSpec, self.tables.grid, "recipe.grid")
-        if math.prod(grid.shape) > MOST_VOXELS:
-            raise BrokenError(
-                f"recipe.grid.shape = {list(grid.shape)}: expected {MOST_VOXELS} voxels at most"
+        if math.prod(grid.shape) > MAX_VOXELS:
+            raise CorruptFileError(
+                f"recipe.grid.shape = {list(grid.shape)}: expected {MAX_VOXELS} voxels at most"
             )
         return grid
 
     @cached_property
     def lidar(self) -> Sensor:
-        """The sensor. Raises BrokenError if its table of rays is damaged."""
+        """The sensor. Raises CorruptFileError if its table of rays is damaged."""
         return sensor_of(self.tables.lidar, self.folder)
 
     @cached_property
     def mapping(self) -> Mapper:
-        """The mapper. Raises BrokenError if it is invalid, or does not fit the grid and sensor."""
+        """The mapper. Raises CorruptFileError if it is invalid, or does not fit the grid and "
+        "sensor."""
         mapping: Mapper = configured(Mapper, self.tables.mapping, "recipe.mapping")
         shape, max_range_m = check_sensor_entry(self.tables.lidar)
-        with raised_as(BrokenError):
-            mapping.check_reach(self.grid, max_range_m, math.prod(shape), MOST_RAYS_IN_SAMPLE)
+        with reraise_as(CorruptFileError):
+            mapping.check_reach(self.grid, max_range_m, math.prod(shape), MAX_RAYS_IN_SAMPLE)
         return mapping
 
     @cached_property
     def known(self) -> Known | None:
-        """Thresholds for known space in maps of real places. Raises BrokenError if they are
+        """Thresholds for known space in maps of real places. Raises CorruptFileError if they are
         invalid."""
         entry = self.tables.known
         return None if entry is None else configured(Known, entry, "recipe.known")
@@ -150,14 +151,14 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """Settings of the optional parts of samples, by name.
 
         Raises:
-            NewerError: if a part is unknown.
-            BrokenError: if its settings are invalid.
+            UnsupportedVersionError: if a part is unknown.
+            CorruptFileError: if its settings are invalid.
         """
         settings = {}
         for name, entry in self.tables.parts.items():
             if name not in PARTS:
-                raise NewerError(
-                    f"recipe.parts: unknown {short(name)}; expected {', '.join(PARTS)}"
+                raise UnsupportedVersionError(
+                    f"recipe.parts: unknown {short_repr(name)}; expected {', '.join(PARTS)}"
                 )
             settings[name] = configured(PARTS[name].settings, entry, f"recipe.parts.{name}")
         return settings
@@ -203,21 +204,22 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """How a split's samples are numbered.
 
         Raises:
-            BrokenError: if the recipe has no valid `flight.viewpoints`.
+            CorruptFileError: if the recipe has no valid `flight.viewpoints`.
         """
         viewpoints = self.tables.flight.get("viewpoints")
         # the schema does not cover the recipe's tables; a bool is no number
-        if type(viewpoints) is not int or not 1 <= viewpoints <= MOST_VIEWPOINTS:
-            raise BrokenError(
-                f"recipe.flight.viewpoints = {short(viewpoints)}: expected a whole number from 1 "
-                f"to {MOST_VIEWPOINTS}"
+        if type(viewpoints) is not int or not 1 <= viewpoints <= MAX_VIEWPOINTS:
+            raise CorruptFileError(
+                f"recipe.flight.viewpoints = {short_repr(viewpoints)}: expected a whole number "
+                "from 1 "
+                f"to {MAX_VIEWPOINTS}"
             )
         # at least 1, as a split without worlds has no units, and must not divide by zero
         scenes = None if self.scenes is None else max(len(self.scenes.get(split, ())), 1)
         return Numbering(viewpoints=viewpoints, scenes=scenes)
 
     def first_place(self, entry: ShardEntry) -> int:
-        """Position of a shard's first sample in its split. Raises BrokenError."""
+        """Position of a shard's first sample in its split. Raises CorruptFileError."""
         viewpoints = self.numbering(entry.split).viewpoints
         return entry.index * max(self.shard_samples // viewpoints, 1) * viewpoints
 
@@ -226,7 +228,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """The recipe; without a world unless `is_drawn`, and without noise that is not ours.
 
         Raises:
-            BrokenError: if a table is invalid, or `bound_m` does not follow from the noise.
+            CorruptFileError: if a table is invalid, or `bound_m` does not follow from the noise.
         """
         from lidarsim.noise.chain import Noise
         from scenegen.worlds.recipe import make_recipe  # which imports MuJoCo
@@ -237,7 +239,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
             kind = self.kind
             tables |= {"world": entry.world or {}, "difficulty": entry.difficulty}
         noise = Noise()
-        with raised_as(BrokenError, of=(RecipeError, ValueError)):
+        with reraise_as(CorruptFileError, of=(RecipeError, ValueError)):
             recipe = make_recipe(kind, tables, lidar=self.lidar)
             if entry.noise is not None and self.noise_is_ours:
                 noise = Noise.parse(entry.noise.stages)
@@ -263,21 +265,22 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
             The manifest itself.
 
         Raises:
-            BrokenError: if they are not.
+            CorruptFileError: if they are not.
         """
         for split in SPLITS:
             if split not in self.counts:
-                raise BrokenError(f"counts.{split} is missing: expected a number of samples")
+                raise CorruptFileError(f"counts.{split} is missing: expected a number of samples")
         if self.complete and self.digest is None:
-            raise BrokenError("digest is missing: expected that of all samples")
+            raise CorruptFileError("digest is missing: expected that of all samples")
         if self.kind == "scene" and self.scenes is None:
-            raise BrokenError("scenes is missing: expected the worlds of each split")
+            raise CorruptFileError("scenes is missing: expected the worlds of each split")
         check_sensor_entry(self.tables.lidar)
         groups = groups_of(self)
         expected = [name for name, entry in FIELDS.items() if entry["group"] in ("", *groups)]
         if list(self.fields) not in (expected, [name for name in expected if name not in DERIVED]):
-            raise BrokenError(
-                f"fields = {short(list(self.fields))}: expected {', '.join(expected)}, or these "
+            raise CorruptFileError(
+                f"fields = {short_repr(list(self.fields))}: expected {', '.join(expected)}, or "
+                "these "
                 f"without {' and '.join(DERIVED)}, as the recipe says"
             )
         for split in SPLITS:
@@ -285,13 +288,13 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
             promised = self.counts[split]
             # an incomplete dataset may lack shards, but has none too many
             if total > promised or (self.complete and total < promised):
-                raise BrokenError(
+                raise CorruptFileError(
                     f"counts.{split} = {promised}, but its shards hold {total} samples"
                 )
         names = sorted(name for entry in self.shards for name in (entry.file, entry.worlds))
         for name, entries in groupby(names):
             if len(list(entries)) > 1:
-                raise BrokenError(f"shards: {name!r} is listed more than once")
+                raise CorruptFileError(f"shards: {name!r} is listed more than once")
         return self
 
 
@@ -303,7 +306,7 @@ def groups_of(described: "Recipe | Manifest") -> tuple[str, ...]:
 
 
 def schema_of(described: "Recipe | Manifest") -> Schema:
-    """Schema of the samples. Raises BrokenError if a table of rays is damaged."""
+    """Schema of the samples. Raises CorruptFileError if a table of rays is damaged."""
     return Schema(
         grid=described.grid,
         lidar=described.lidar,
@@ -329,7 +332,7 @@ def write(folder: Place, manifest: Manifest) -> None:
     """
     content = encode(manifest)
     if not isinstance(folder, Store):
-        write_whole(folder / NAME, content)
+        write_atomic(folder / NAME, content)
         return
     while True:  # until no other run replaces it in between
         try:
@@ -373,37 +376,40 @@ def parse(content: bytes, folder: Path = Path(), named: str | None = None) -> Ma
         named: A user's own kind that may be imported.
 
     Raises:
-        BrokenError: if it is damaged. The message has the location, the value, and what was
+        CorruptFileError: if it is damaged. The message has the location, the value, and what was
             expected.
-        NewerError: if a newer scenegen wrote it.
+        UnsupportedVersionError: if a newer scenegen wrote it.
         DatasetError: if it is no manifest, or has an earlier format.
     """
     try:
         head = msgspec.json.decode(content, type=_Head)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise BrokenError(f"is no JSON of a dataset ({printable(error)[:200]})") from None
+        raise CorruptFileError(f"is no JSON of a dataset ({printable(error)[:200]})") from None
     if head.format != FORMAT:
         raise DatasetError(f'is not a scenegen dataset\'s, expected "format": "{FORMAT}"')
     version = head.version if isinstance(head.version, int | float) else 0
     if head.version != VERSION:
         if version > VERSION:
-            raise NewerError(f"format version {short(head.version)}: this scenegen reads {VERSION}")
+            raise UnsupportedVersionError(
+                f"format version {short_repr(head.version)}: this scenegen reads {VERSION}"
+            )
         raise DatasetError(
-            f"format version {short(head.version)}: scenegen 0.3 reads {VERSION} alone; generate "
+            f"format version {short_repr(head.version)}: scenegen 0.3 reads {VERSION} alone; "
+            "generate "
             "the dataset again, or read it with scenegen 0.2"
         )
     try:
         document = msgspec.json.decode(content, type=Document)
         values = {name: getattr(document, name) for name in Document.__struct_fields__}
         return Manifest(**values, folder=folder, named=named).check()
-    except NewerError:
+    except UnsupportedVersionError:
         raise
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, BrokenError) as error:
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, CorruptFileError) as error:
         # msgspec appends the location; our messages begin with it
         fault = re.sub(r"^(.*) - at `\$\.?(.*)`$", r"\2: \1", printable(error))
     made_by = head.software.get("scenegen") if isinstance(head.software, dict) else None
     # an unknown entry in a file of a later version is no damage
-    raise NewerError(fault) if _is_later(made_by) else BrokenError(fault)
+    raise UnsupportedVersionError(fault) if _is_later(made_by) else CorruptFileError(fault)
 
 
 def _is_later(version: Any) -> bool:
@@ -429,11 +435,11 @@ def load(folder: Path, name: str = "") -> Manifest:
     path, content = f"{name or folder}: {NAME}", read_content(folder, name)
     try:
         return parse(content, folder)
-    except NewerError as error:
+    except UnsupportedVersionError as error:
         raise DatasetError(
             f"{path}: a newer scenegen wrote it: {error}; read it with that one"
         ) from None
-    except BrokenError as error:
+    except CorruptFileError as error:
         fault = printable(error)[:300]
         raise DatasetError(
             f"{path} is damaged: {fault}; copy the dataset again, or generate it"
@@ -453,7 +459,7 @@ def read_content(folder: Place, name: str = "") -> bytes:
         DatasetError: if there is no manifest, or it cannot be read.
     """
     try:
-        return read_at(folder, NAME, MOST_MANIFEST_BYTES)
+        return read_at(folder, NAME, MAX_MANIFEST_BYTES)
     except FileNotFoundError:
         path = Path(str(folder))
         problem = f"it has no {NAME}" if path.exists() else "there is no such folder"

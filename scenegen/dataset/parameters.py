@@ -18,9 +18,15 @@ from msgspec import Meta, Struct
 
 from lidarsim import BeamTable, Lidar, Sensor
 from lidarsim.noise import VERSION as NOISE_VERSION
-from lidarsim.parameters import MOST_RAYS, MOST_SHOWN, MOST_TEXT
-from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
-from scenegen.base.errors import BrokenError, DatasetError, NewerError, printable, raised_as, short
+from lidarsim.parameters import MAX_RAYS, MAX_SHOWN, MAX_TEXT, short_repr
+from lidarsim.sensors.table import MAX_AXES, max_bytes, read_npy
+from scenegen.base.errors import (
+    CorruptFileError,
+    DatasetError,
+    UnsupportedVersionError,
+    printable,
+    reraise_as,
+)
 from scenegen.base.files import Json
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import Place, create_at, read_at
@@ -45,16 +51,17 @@ def configured(config: Any, table: Any, where: str) -> Any:
         where: Location of the table in the file, for messages.
 
     Raises:
-        NewerError: if the table has unknown names.
-        BrokenError: if a value is invalid.
+        UnsupportedVersionError: if the table has unknown names.
+        CorruptFileError: if a value is invalid.
     """
     known = {item.name for item in fields(config)}
     for name in table:
         if name not in known:
-            raise NewerError(
-                f"{where}: unknown parameter {short(name)}: expected {', '.join(sorted(known))}"
+            raise UnsupportedVersionError(
+                f"{where}: unknown parameter {short_repr(name)}: expected "
+                f"{', '.join(sorted(known))}"
             )
-    with raised_as(BrokenError, f"{where}.", of=(ValueError, TypeError)):
+    with reraise_as(CorruptFileError, f"{where}.", of=(ValueError, TypeError)):
         return config(**table)
 
 
@@ -80,7 +87,7 @@ def differences(
             lines += differences(old, new, words, f"{prefix}{name}.")
         elif old != new:
             lines.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_short_json(old)} {words[0]}, "
+                f"{short_repr(f'{prefix}{name}')[1:-1]} is {_short_json(old)} {words[0]}, "
                 f"{_short_json(new)} {words[1]}"
             )
     return lines
@@ -95,7 +102,7 @@ def _numbered(value: Any) -> Any:
 def _short_json(value: Any) -> str:
     """A parameter as JSON, shortened; digests by their first digits."""
     text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
-    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 RAYS = "rays.npy"
@@ -109,9 +116,9 @@ class RaysEntry(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     sensor: Literal["table"]
     rays: Literal["rays.npy"]
     sha256: Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
-    shape: Annotated[list[Annotated[int, Meta(ge=1)]], Meta(min_length=1, max_length=MOST_AXES)]
+    shape: Annotated[list[Annotated[int, Meta(ge=1)]], Meta(min_length=1, max_length=MAX_AXES)]
     max_range_m: float
-    made_by: Annotated[str, Meta(max_length=MOST_TEXT)]
+    made_by: Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
 def sensor_entry(sensor: Sensor) -> Json:
@@ -132,22 +139,22 @@ def sensor_entry(sensor: Sensor) -> Json:
 
 
 def _entry_of(entry: Json) -> RaysEntry | Lidar:
-    """Check a sensor's entry. Raises BrokenError."""
+    """Check a sensor's entry. Raises CorruptFileError."""
     if "sensor" not in entry:
         lidar: Lidar = configured(Lidar, entry, "recipe.lidar")
         return lidar
-    with raised_as(
-        BrokenError, "recipe.lidar: ", of=ValueError
+    with reraise_as(
+        CorruptFileError, "recipe.lidar: ", of=ValueError
     ):  # msgspec's errors are ValueErrors
         table = msgspec.convert(entry, RaysEntry)
-        if math.prod(table.shape) > MOST_RAYS:
-            raise ValueError(f"shape = {table.shape}: expected {MOST_RAYS} rays at most")
+        if math.prod(table.shape) > MAX_RAYS:
+            raise ValueError(f"shape = {table.shape}: expected {MAX_RAYS} rays at most")
         return table
 
 
 def check_sensor_entry(entry: Json) -> tuple[tuple[int, ...], float]:
     """Check a sensor's entry. Returns the shape of its scans and its range, metres. Raises
-    BrokenError."""
+    CorruptFileError."""
     sensor = _entry_of(entry)
     return tuple(sensor.shape), sensor.max_range_m
 
@@ -165,14 +172,14 @@ def sensor_of(entry: Json, folder: Path) -> Sensor:
         folder: Folder of its table of rays, if it has one.
 
     Raises:
-        BrokenError: if the entry or the table is damaged.
+        CorruptFileError: if the entry or the table is damaged.
     """
     table = _entry_of(entry)
     if isinstance(table, Lidar):
         return table
     expected = (*table.shape, 4)
     try:
-        content = read_bounded(folder / RAYS, most_bytes(math.prod(table.shape)))
+        content = read_bounded(folder / RAYS, max_bytes(math.prod(table.shape)))
         if sha256_of(content) != table.sha256:
             raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
@@ -180,11 +187,11 @@ def sensor_of(entry: Json, folder: Path) -> Sensor:
             raise ValueError(f"has shape {rays.shape} of {rays.dtype}, expected {expected}")
         return BeamTable(rays=rays, max_range_m=table.max_range_m, made_by=table.made_by)
     except FileNotFoundError:
-        raise BrokenError(
+        raise CorruptFileError(
             f"{RAYS}: is missing, though the manifest's lidar is a table of rays"
         ) from None
     except (ValueError, OSError, DatasetError) as error:
-        raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
+        raise CorruptFileError(f"{RAYS}: {printable(error)[:200]}") from None
 
 
 def write_rays(sensor: Sensor, place: Place) -> None:
@@ -259,7 +266,7 @@ def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
         The entry; None without stages.
 
     Raises:
-        BrokenError: if no manifest can describe it.
+        CorruptFileError: if no manifest can describe it.
     """
     if not noise.stages:
         return None
@@ -269,7 +276,7 @@ def noise_entry(noise: "Noise", max_range_m: float) -> NoiseEntry | None:
         "bound_m": bound_m if math.isfinite(bound_m) else None,
         "version": NOISE_VERSION,
     }
-    with raised_as(BrokenError, "recipe.noise: "):
+    with reraise_as(CorruptFileError, "recipe.noise: "):
         return msgspec.convert(entry, NoiseEntry)
 
 

@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 import msgspec
 
 from scenegen.base.errors import DatasetError
-from scenegen.base.files import write_whole
-from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
+from scenegen.base.files import write_atomic
+from scenegen.base.limits import MAX_MANIFEST_BYTES, MAX_SAMPLES_IN_SHARD
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.base.stores import Place, Store
 from scenegen.dataset.schema import ShardEntry
@@ -42,7 +42,7 @@ def write_note(
     """
     name = sha256_of("\n".join(part).encode())[:12]
     note = Note(parameters=parameters, shards=[report.entry for report in reports])
-    write_whole(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
+    write_atomic(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
 
 
 def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
@@ -59,7 +59,7 @@ def read_notes(folder: Path, parameters: str) -> dict[str, ShardEntry]:
     for path in folder.glob(NOTES):
         # a damaged note only costs time: its shards are examined again
         with suppress(OSError, msgspec.MsgspecError, RecursionError, DatasetError):
-            note = msgspec.json.decode(read_bounded(path, MOST_MANIFEST_BYTES), type=Note)
+            note = msgspec.json.decode(read_bounded(path, MAX_MANIFEST_BYTES), type=Note)
             if note.parameters == parameters:
                 entries |= {entry.file: entry for entry in note.shards}
     return entries
@@ -74,7 +74,7 @@ def remove_notes(folder: Path) -> None:
 SUFFIX = ".report.json"
 AT_A_TIME = 16
 """Number of concurrent requests."""
-MAX_REPORT_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
+MAX_REPORT_BYTES = 10_000 + 80 * MAX_SAMPLES_IN_SHARD
 
 
 class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):

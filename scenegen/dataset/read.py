@@ -20,8 +20,9 @@ import numpy as np
 
 from lidarsim import GridSpec, Sensor, fuse
 from lidarsim.grid import Ints
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS
-from scenegen.base.errors import BrokenError, DatasetError, SceneError, raised_as, short
+from scenegen.base.errors import CorruptFileError, DatasetError, SceneError, reraise_as
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
     from scenegen.worlds.world import AnyWorld
 
 
-def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
+def advised(
+    folder: Path, mark: str = "/", of: Any = CorruptFileError
+) -> AbstractContextManager[None]:
     """Raise errors of a damaged dataset as DatasetErrors with its folder and advice.
 
     Args:
@@ -42,7 +45,7 @@ def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractCon
         mark: Text between the folder and the message.
         of: Classes of errors that are caught.
     """
-    return raised_as(
+    return reraise_as(
         DatasetError, f"{folder}{mark}", "; copy the dataset again, or generate it", of=of
     )
 
@@ -76,7 +79,7 @@ class Piece:
         return position if self.rows is None else int(self.rows[position])
 
     def names(self) -> Ints:
-        """World and viewpoint numbers of its samples, (2, N). Raises BrokenError."""
+        """World and viewpoint numbers of its samples, (2, N). Raises CorruptFileError."""
         manifest, split = self.dataset.manifest, self.entry.split
         rows = np.arange(self.entry.samples) if self.rows is None else self.rows
         places = manifest.first_place(self.entry) + rows
@@ -84,7 +87,7 @@ class Piece:
         return np.array([world + self.first_world, viewpoint])
 
 
-MOST_OPEN = 64
+MAX_OPEN = 64
 """Maximum number of open shards of a split in a process. HDF5 takes 1.4 MB for each, and half a
 millisecond to open one."""
 
@@ -161,7 +164,7 @@ class AnyDataset(ABC):
         """
         if name not in SPLITS:
             raise DatasetError(
-                f"{self.name}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
+                f"{self.name}: has no split {short_repr(name)}; expected one of {', '.join(SPLITS)}"
             )
         if name not in self._splits:  # cached: a split may have many shards
             self._splits[name] = Split(self, name, self._pieces(name))
@@ -254,7 +257,7 @@ class Dataset(AnyDataset):
 
         files = self.world(split, number)
         document, name = files.pop(DOCUMENT), f"{split} world {number}"
-        with advised(self.folder, ": ", of=(BrokenError, SceneError)):
+        with advised(self.folder, ": ", of=(CorruptFileError, SceneError)):
             screen(document, files, name)
             return archived_world(document, files, name=name)
 
@@ -295,7 +298,7 @@ class Dataset(AnyDataset):
         if self.checked and name not in self._sound:
             try:
                 check_sum(file, name, sha256)
-            except BrokenError:
+            except CorruptFileError:
                 file.close()
                 raise
             self._sound.add(name)
@@ -367,7 +370,7 @@ class Split(Samples):
         piece = self.pieces[number]
         shard = self._open.pop(number, None) or piece.dataset.open_shard(piece.entry)
         self._open[number] = shard  # dicts keep order: the least recently used shard comes first
-        for old in list(self._open)[:-MOST_OPEN]:
+        for old in list(self._open)[:-MAX_OPEN]:
             self._open.pop(old, None)  # closed when no other thread holds it
         return shard
 
@@ -385,7 +388,7 @@ class Split(Samples):
                 from scenegen.truth import distance_field
 
                 return distance_field(sample.occupancy, manifest.grid)
-            with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
+            with reraise_as(CorruptFileError, f"{shard.name}: sample {row}: "):
                 # oldest first, as when the sample was made
                 scans = sample.scans()[::-1]
                 return fuse(scans, manifest.grid, sample.origin, manifest.mapping).free
@@ -417,7 +420,7 @@ class Split(Samples):
                 pieces.append(Piece(piece.dataset, piece.entry, rows, first_world))
         return pieces
 
-    def names_in(self, number: int) -> Ints:
+    def list_dir(self, number: int) -> Ints:
         """World and viewpoint numbers of a piece's samples, (2, N). Raises DatasetError."""
         with advised(self.pieces[number].dataset.folder):
             return self.pieces[number].names()
@@ -425,7 +428,7 @@ class Split(Samples):
     @cached_property
     def numbers(self) -> Ints:
         """World and viewpoint numbers of all samples, (2, N). Raises DatasetError."""
-        names = map(self.names_in, range(len(self.pieces)))
+        names = map(self.list_dir, range(len(self.pieces)))
         return np.concatenate([np.empty((2, 0), np.int64), *names], axis=1)
 
     def count_worlds(self) -> int:

@@ -9,10 +9,10 @@ from msgspec import Meta, Struct
 
 from scenegen.base.files import Json
 from scenegen.base.limits import (
-    MOST_KIND_NAME,
-    MOST_SAMPLES,
-    MOST_SAMPLES_IN_SHARD,
-    MOST_SEED,
+    MAX_KIND_NAME,
+    MAX_SAMPLES,
+    MAX_SAMPLES_IN_SHARD,
+    MAX_SEED,
 )
 
 NAME = "dataset.json"
@@ -20,10 +20,10 @@ FORMAT = "scenegen-dataset"
 VERSION = 2
 """Version of the format. It is raised when an earlier scenegen would misread new files."""
 
-Count = Annotated[int, Meta(ge=0, le=MOST_SAMPLES)]
-Seed = Annotated[int, Meta(ge=0, le=MOST_SEED)]
+Count = Annotated[int, Meta(ge=0, le=MAX_SAMPLES)]
+Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
 SplitName = Annotated[str, Meta(pattern=r"\A(?:train|val|test)\Z")]
-ShardSamples = Annotated[int, Meta(ge=1, le=MOST_SAMPLES_IN_SHARD)]
+ShardSamples = Annotated[int, Meta(ge=1, le=MAX_SAMPLES_IN_SHARD)]
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 SHARD_FILE = re.compile(
     # (?=\1): the digits of a subfolder must begin the names of its files
@@ -72,7 +72,7 @@ class NoiseEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Stages of noise in the notation of `lidarsim.noise`."""
     bound_m: Annotated[float, Meta(ge=0)] | None
     """Maximum distance of a return from its true place, metres; None if it is unbounded."""
-    version: Annotated[int, Meta(ge=1, le=MOST_SEED)]
+    version: Annotated[int, Meta(ge=1, le=MAX_SEED)]
     """`lidarsim.noise.VERSION` of the software that made the dataset."""
 
 
@@ -86,7 +86,7 @@ class SceneEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
 class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """All parameters of the recipe, by table, as in a recipe's TOML file."""
 
-    kind: Annotated[str, Meta(pattern=rf"\A(?=.{{1,{MOST_KIND_NAME}}}\Z)\w[\w.-]*(?::\w+)?\Z")]
+    kind: Annotated[str, Meta(pattern=rf"\A(?=.{{1,{MAX_KIND_NAME}}}\Z)\w[\w.-]*(?::\w+)?\Z")]
     version: Seed = 0
     """Version of the kind's preset; 0 for worlds from files."""
     difficulty: Annotated[str, Meta(pattern=r"\A[\w .-]{1,60}\Z")] = "medium"
@@ -110,7 +110,7 @@ class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     format: Literal["scenegen-dataset"] = "scenegen-dataset"
     version: Literal[2] = 2
-    generator: Annotated[int, Meta(ge=1, le=MOST_SEED)]
+    generator: Annotated[int, Meta(ge=1, le=MAX_SEED)]
     """`scenegen.GENERATOR` of the software that made the dataset."""
     seed: Seed
     counts: dict[SplitName, Count]

@@ -16,9 +16,10 @@ import msgspec
 import numpy as np
 
 from lidarsim.grid import Field, Floats, Ints
-from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
+from lidarsim.parameters import short_repr
+from lidarsim.sensors.table import MAX_NPY_HEADER_BYTES, read_npy
 from scenegen import SPLITS
-from scenegen.base.errors import DatasetError, ScenegenError, short
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.base.executors import chunked
 from scenegen.base.reading import read_bounded
 from scenegen.base.workers import run
@@ -134,7 +135,7 @@ def _stored_measures(dataset: Dataset) -> dict[str, Floats]:
     counts = [len(dataset.split(name)) for name in SPLITS]
     path = measures_file(dataset)
     try:
-        max_bytes = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES + DIGEST_BYTES
+        max_bytes = sum(counts) * ROW.itemsize + MAX_NPY_HEADER_BYTES + DIGEST_BYTES
         content = read_bounded(path, max_bytes)
         body, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
         # a truncated or edited file is ignored
@@ -182,7 +183,8 @@ class Condition:
         if match and match[1] in known:
             return cls(match[1], match[2], float(match[3]))
         raise ValueError(
-            f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names "
+            f"{short_repr(text)}: expected a name, a sign and a number, such as "
+            "occupied>=0.05; names "
             f"are {', '.join(known)}, signs {' '.join(SIGNS)}"
         )
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
-from scenegen.base.errors import BrokenError, DatasetError, raised_as
+from scenegen.base.errors import CorruptFileError, DatasetError, reraise_as
 from scenegen.base.reading import sha256_in, sha256_of
 from scenegen.base.stores import Place, create_at
 from scenegen.base.workers import Worker
@@ -46,7 +46,7 @@ def find_engine(name: str) -> EngineFactory:
     Raises:
         DatasetError: if the engine is not available.
     """
-    with raised_as(DatasetError):
+    with reraise_as(DatasetError):
         return ENGINES.find(name).of
 
 
@@ -306,7 +306,7 @@ def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> Shar
                     shard.value(name, row, read_only=True)
             return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
     # whatever is wrong, the shard will be written again
-    except (BrokenError, OSError, KeyError, ValueError):
+    except (CorruptFileError, OSError, KeyError, ValueError):
         return None
 
 

@@ -13,7 +13,7 @@ import msgspec
 
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError
-from scenegen.base.files import disk_told, remove_drafts
+from scenegen.base.files import disk_errors, remove_temp_files
 from scenegen.base.stores import Place, Store, names_at, read_at, remove_at
 from scenegen.base.workers import run
 from scenegen.dataset import manifest
@@ -121,7 +121,7 @@ class State:
         """Entries of the shards that this dataset's manifest lists, by file; None if there is no
         such manifest."""
         folder = self.plan.folder
-        with disk_told(folder):
+        with disk_errors(folder):
             try:
                 self._names = names_at(folder)
             except FileNotFoundError:
@@ -214,7 +214,7 @@ class State:
 
     def _begin(self) -> None:
         folder = self.plan.folder
-        with disk_told(folder):
+        with disk_errors(folder):
             if isinstance(folder, Path):
                 folder.mkdir(parents=True, exist_ok=True)
             # listed before the manifest is read: files that appear later belong to this dataset
@@ -238,7 +238,7 @@ class State:
             self.note()
             self._listed = self._listed or {}
         if isinstance(folder, Path):
-            with disk_told(folder):
+            with disk_errors(folder):
                 # made once here, and not by every worker
                 for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
                     (folder / part).mkdir(exist_ok=True)
@@ -246,7 +246,7 @@ class State:
     def clear(self) -> None:
         """Remove temporary files of killed processes. Stores have none."""
         if isinstance(self.plan.folder, Path):
-            remove_drafts(self.plan.folder)
+            remove_temp_files(self.plan.folder)
 
     def _remove_notes(self) -> None:
         if isinstance(self.plan.folder, Path):

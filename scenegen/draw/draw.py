@@ -18,7 +18,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
-from scenegen.base.errors import GenerationError, RecipeError, raised_as
+from scenegen.base.errors import GenerationError, RecipeError, reraise_as
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
@@ -361,7 +361,7 @@ def scan_world(
         GenerationError: if a stage of the noise needs something that the engine does not compute.
         RecipeError: if the noise cannot be parsed, or there is no such engine.
     """
-    with raised_as(RecipeError):
+    with reraise_as(RecipeError):
         factory = ENGINES.find(engine).of if isinstance(engine, str) else engine
     rng = np.random.default_rng(seed)
     caster = world.caster(factory)
@@ -374,7 +374,7 @@ def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Sca
     Raises:
         GenerationError: if the engine fails.
     """
-    with raised_as(GenerationError, "the engine fails: "):
+    with reraise_as(GenerationError, "the engine fails: "):
         return [cast(engine, lidar, pose) for pose in poses]
 
 
@@ -414,8 +414,8 @@ def with_noise(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "
                 "out, and two returns"
             )
-        moved = (seen.told_origins != scan.pose.position).any()
-        if moved or not np.array_equal(seen.told_directions, scan.directions):
+        moved = (seen.reported_origins != scan.pose.position).any()
+        if moved or not np.array_equal(seen.reported_directions, scan.directions):
             raise GenerationError(
                 f"noise {noise}: a dataset's rays begin where the scan does; leave corrected "
                 "motion out, or use `scan`"
@@ -432,5 +432,5 @@ def observed(
     Raises:
         GenerationError: if a stage cannot be applied.
     """
-    with raised_as(GenerationError):
+    with reraise_as(GenerationError):
         return noise.observe(scan, engine, rng=rng, albedo=albedo)

@@ -8,9 +8,10 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import RecipeError, printable, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import RecipeError, printable
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_SOURCES, MOST_WEIGHT
+from scenegen.base.limits import MAX_SOURCES, MAX_WEIGHT
 from scenegen.draw.sample import rng_of
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import Recipe, make_recipe
@@ -50,9 +51,9 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     kind = common.pop("kind", MIXED)
     all_kinds = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
     listed = common.pop("component", all_kinds)
-    if not isinstance(listed, list) or not 0 < len(listed) <= MOST_SOURCES:
+    if not isinstance(listed, list) or not 0 < len(listed) <= MAX_SOURCES:
         raise RecipeError(
-            f"{where}: component: expected up to {MOST_SOURCES} tables [[component]], each with a "
+            f"{where}: component: expected up to {MAX_SOURCES} tables [[component]], each with a "
             f"kind"
         )
     weighed = any(isinstance(entry, dict) and "weight" in entry for entry in listed)
@@ -65,8 +66,10 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
         kind, weight = tables.pop("kind"), tables.pop("weight", 1)
         # a default of 1 beside explicit weights would hide a forgotten one
         if weighed and "weight" not in entry:
-            raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
-        share = fraction(weight, short(kind), at)
+            raise RecipeError(
+                f"{at} ({short_repr(kind)}): has no weight, and others have; give it one"
+            )
+        share = fraction(weight, short_repr(kind), at)
         tables = _over(common, tables)
         # a seed below 0 is refused later, with the rest
         drawn = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
@@ -105,16 +108,16 @@ def fraction(weight: Any, label: str, owner: str = "stream") -> Fraction:
         owner: First word of the message.
 
     Raises:
-        RecipeError: if it is not a number above 0, up to `MOST_WEIGHT`.
+        RecipeError: if it is not a number above 0, up to `MAX_WEIGHT`.
     """
     with suppress(ValueError, ZeroDivisionError):
         # by its shortest decimal form, as the binary float 0.1 is not 1/10; text is no weight
         exact = Fraction("" if isinstance(weight, str) else str(weight))
-        if 0 < exact <= MOST_WEIGHT:
+        if 0 < exact <= MAX_WEIGHT:
             return exact
     raise RecipeError(
-        f"{owner}: weight of {label} = {short(weight)}: expected a number above 0, up to "
-        f"{MOST_WEIGHT}"
+        f"{owner}: weight of {label} = {short_repr(weight)}: expected a number above 0, up to "
+        f"{MAX_WEIGHT}"
     )
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
-from scenegen.base.errors import DatasetError, lacking, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, lacking
 
 if TYPE_CHECKING:
     from scenegen.draw.tensors import TensorSamples
@@ -379,7 +380,7 @@ class Samples(Sequence[Sample]):
         """Check an index, and count it from 0. Raises TypeError and IndexError."""
         number = operator.index(index)
         if not -len(self) <= number < len(self):
-            raise IndexError(f"{self}: has no sample {short(number)}")
+            raise IndexError(f"{self}: has no sample {short_repr(number)}")
         # negative indices count from the end
         return number % len(self)
 

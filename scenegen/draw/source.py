@@ -16,12 +16,19 @@ import numpy as np
 from numpy.random import Generator
 
 from scenegen import SPLITS
-from scenegen.base.errors import BrokenError, RecipeError, SceneError, plural, printable, raised_as
+from scenegen.base.errors import (
+    CorruptFileError,
+    RecipeError,
+    SceneError,
+    plural,
+    printable,
+    reraise_as,
+)
 from scenegen.base.files import Json, real_path
 from scenegen.base.limits import (
-    MOST_ARCHIVE_BYTES,
-    MOST_GEOMS,
-    MOST_MEMBERS,
+    MAX_ARCHIVE_BYTES,
+    MAX_GEOMS,
+    MAX_MEMBERS,
     SCENE_BYTES,
     SCENE_SECONDS,
 )
@@ -98,11 +105,11 @@ class DrawnWorlds(Source):
         bounds = self.recipe.flight.bounds(kind.size_m)
         # the fault may lie in a user's own kind, and not in the values
         advice = "correct it" if ":" in self.recipe.kind else "take values nearer to the preset's"
-        with raised_as(
+        with reraise_as(
             RecipeError,
             f"[world] of kind {self.recipe.kind!r} draws what cannot be: ",
             f"; {advice}",
-            of=(ValueError, BrokenError, SceneError),
+            of=(ValueError, CorruptFileError, SceneError),
         ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
 
@@ -181,17 +188,17 @@ class SceneWorlds:
         recipe = replace(recipe, known=recipe.known or Known())
         if recipe.accept.max_draws == Acceptance.max_draws:
             accept = replace(recipe.accept, max_draws=MAP_DRAWS)
-            with suppress(ValueError):  # beyond MOST_SEARCHED: keep the recipe's draws
+            with suppress(ValueError):  # beyond MAX_SEARCHED: keep the recipe's draws
                 return replace(recipe, accept=accept)
         return recipe
 
 
-def read_world(path: str | Path, tell: Callable[[str], None] | None = None) -> AnyWorld:
+def read_world(path: str | Path, report: Callable[[str], None] | None = None) -> AnyWorld:
     """Read a world from an MJCF file, a mesh, or a map of a real place.
 
     Args:
         path: The file.
-        tell: Called with each note about the file.
+        report: Called with each note about the file.
 
     Raises:
         SceneError: if the file cannot be used.
@@ -199,9 +206,9 @@ def read_world(path: str | Path, tell: Callable[[str], None] | None = None) -> A
     if Path(path).is_dir():
         raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
     source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
-    if tell:
+    if report:
         for line in source.notes:
-            tell(line)
+            report(line)
     return source.world("train", 0, rng=np.random.default_rng(0))
 
 
@@ -209,7 +216,7 @@ def named_world(
     name: str,
     seed: int,
     difficulty: str | None = None,
-    tell: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = None,
 ) -> AnyWorld:
     """Read a world from a file, or draw one of a kind.
 
@@ -217,14 +224,14 @@ def named_world(
         name: Path of a file, or name of a kind.
         seed: Seed of a drawn world.
         difficulty: "easy", "medium" or "hard".
-        tell: Called with each note about a file.
+        report: Called with each note about a file.
 
     Raises:
         SceneError: if the file cannot be used.
         RecipeError: if there is no such kind.
     """
     if Path(name).exists() or (":" not in name and not name.isidentifier()):
-        return read_world(name, tell)
+        return read_world(name, report)
     drawn = DrawnWorlds(preset(name, difficulty=difficulty))
     return drawn.world("train", 0, rng=np.random.default_rng(seed))
 
@@ -345,7 +352,7 @@ def _read_alone(path: Path, *, materials: bool) -> Reading:
 def _given_up(path: Path, reason: str) -> Reading:
     allowed = f"{SCENE_SECONDS:g} s and {SCENE_BYTES >> 30} GB"
     fault = f"{path}: reading it {reason}; {allowed} are allowed: give a simpler world, of "
-    fault += f"{MOST_GEOMS} geoms at most"
+    fault += f"{MAX_GEOMS} geoms at most"
     return Reading(path, SceneError(fault))
 
 
@@ -370,8 +377,8 @@ def _check(scenes: Mapping[Path, Scene], allow_unseen: bool) -> None:
         # worlds may share files, which an archive holds once
         total_bytes += sum(len(scene.assets[name]) for name in scene.assets.keys() - files)
         files |= {path.name, *scene.assets}
-        if total_bytes > MOST_ARCHIVE_BYTES or len(files) > MOST_MEMBERS:
+        if total_bytes > MAX_ARCHIVE_BYTES or len(files) > MAX_MEMBERS:
             raise SceneError(
-                f"{path.parent}: the worlds take more than {MOST_ARCHIVE_BYTES} bytes or "
-                f"{MOST_MEMBERS} files; use coarser meshes, or fewer worlds"
+                f"{path.parent}: the worlds take more than {MAX_ARCHIVE_BYTES} bytes or "
+                f"{MAX_MEMBERS} files; use coarser meshes, or fewer worlds"
             )

@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from scenegen.base.errors import DatasetError, short
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError
 
 
 class TensorSamples(Dataset[dict[str, torch.Tensor]]):
@@ -57,7 +58,7 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
     for name in names:
         if name not in known:
             raise DatasetError(
-                f"{samples}: torch() has no field {short(name)}; expected {', '.join(known)}"
+                f"{samples}: torch() has no field {short_repr(name)}; expected {', '.join(known)}"
             )
         if len(shapes[name]) > 1:
             alike = [field for field in known if len(shapes[field]) == 1]

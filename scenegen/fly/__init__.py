@@ -22,16 +22,16 @@ class Vehicle(Checked):
 
     radius_m: float = number(0.3, above=0, below=1)
     """Radius of the ball, metres."""
-    speed_mps: float = number(2.0, least=0.1, most=20)
+    speed_mps: float = number(2.0, minimum=0.1, maximum=20)
     """Maximum speed, metres a second."""
-    acceleration_mps2: float = number(4.0, least=0.1, most=50)
+    acceleration_mps2: float = number(4.0, minimum=0.1, maximum=50)
     """Maximum acceleration, metres a second squared."""
-    jerk_mps3: float = number(30.0, least=1, most=1000)
+    jerk_mps3: float = number(30.0, minimum=1, maximum=1000)
     """Maximum jerk, metres a second cubed."""
-    tilt_deg: float = number(30.0, above=0, most=80)
+    tilt_deg: float = number(30.0, above=0, maximum=80)
     """Maximum tilt, degrees. It also bounds the acceleration, to gravity times its sine, so that
     the vehicle leans less than this."""
-    yaw_rate_deg_s: float = number(90.0, above=0, most=360)
+    yaw_rate_deg_s: float = number(90.0, above=0, maximum=360)
     """Maximum yaw rate, degrees a second."""
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """"kinematic": moves exactly within these bounds, with the same bits on every machine.
@@ -43,13 +43,13 @@ class Vehicle(Checked):
 class Rules(Checked):
     """Which starts and goals are drawn, and when a flight ends."""
 
-    apart_m: float = number(15.0, above=0, most=1000)
+    apart_m: float = number(15.0, above=0, maximum=1000)
     """Minimum distance from start to goal, metres; at most half the diagonal of the flight bounds.
     If no pair so far apart is connected, half or a quarter of it."""
-    spare_m: float = number(0.3, least=0, most=1)
+    spare_m: float = number(0.3, minimum=0, maximum=1)
     """Clearance at start and goal beyond the vehicle's radius, from solids and from the flight
     bounds, metres; from the bounds at most a quarter of their extent."""
-    reach_m: float = number(0.5, above=0, most=10)
+    reach_m: float = number(0.5, above=0, maximum=10)
     """A flight succeeds within this distance of its goal, metres."""
-    patience: float = number(10.0, least=1, most=1000)
+    patience: float = number(10.0, minimum=1, maximum=1000)
     """Time limit of a flight, as a multiple of the shortest way at full speed."""

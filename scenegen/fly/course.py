@@ -21,7 +21,7 @@ from scenegen import __version__
 from scenegen.base.errors import DatasetError, GenerationError, printable
 from scenegen.base.executors import processor
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_MANIFEST_BYTES, MOST_SEED
+from scenegen.base.limits import MAX_MANIFEST_BYTES, MAX_SEED
 from scenegen.base.reading import read_bounded
 from scenegen.draw.source import named_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
@@ -50,7 +50,7 @@ class Course(Checked):
 
     world: str
     """A kind of worlds, or a file: MJCF, or a map of a real place."""
-    seed: int = number(0, least=0, most=MOST_SEED)
+    seed: int = number(0, minimum=0, maximum=MAX_SEED)
     """Seed of the missions, of the noise, and of the world if `world` is a kind."""
     difficulty: str | None = None
     """Difficulty of the kind's preset; None for the usual one."""
@@ -62,7 +62,7 @@ class Course(Checked):
     """Whether each ray is cast from where the sensor is at the ray's time."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     rules: Rules = field(default_factory=Rules)
-    flights: int = number(10, least=1)
+    flights: int = number(10, minimum=1)
     """Number of missions."""
     document: str = ""
     """First digits of the SHA-256 that the world must have; "" for any world."""
@@ -198,7 +198,7 @@ def read_recording(path: Path) -> Recording:
         DatasetError: The file cannot be read, or is not a recording of this format.
     """
     try:
-        text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
+        text = json.loads(read_bounded(path, MAX_MANIFEST_BYTES))
         if text["format"] != FORMAT:
             raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
         courses = []

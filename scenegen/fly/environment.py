@@ -9,8 +9,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.base.errors import DatasetError, ScenegenError, raised_as, short, whole_number
+from lidarsim.parameters import MAX_LENGTH_M, short_repr
+from scenegen.base.errors import DatasetError, ScenegenError, check_int, reraise_as
 from scenegen.fly.course import Course
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
@@ -65,11 +65,11 @@ class Flight(gymnasium.Env[Observation, Command]):
         """
         if render_mode is not None:
             raise FlightError(
-                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen "
+                f"{NAME}: render_mode = {short_repr(render_mode)}: expected None; `scenegen "
                 "fly world --film` draws flights"
             )
-        with raised_as(FlightError, of=DatasetError):
-            periods = whole_number(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
+        with reraise_as(FlightError, of=DatasetError):
+            periods = check_int(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
         for name in options:
             check_name(name, ("world", "periods", *OPTIONS), "option", NAME)
         world = str(world) if isinstance(world, Path) else world
@@ -106,7 +106,7 @@ class Flight(gymnasium.Env[Observation, Command]):
         super().reset(seed=seed)
         where = f"{NAME}: reset: options"
         if options is not None and not isinstance(options, Mapping):
-            raise FlightError(f"{where} = {short(options)}: expected a dictionary")
+            raise FlightError(f"{where} = {short_repr(options)}: expected a dictionary")
         table = {"seed": int(self.np_random.integers(2**31))} | dict(options or {})
         for name in table:
             check_name(name, RESET_OPTIONS, "option", where)
@@ -134,7 +134,7 @@ class Flight(gymnasium.Env[Observation, Command]):
         commands, _ = bounded(action, flying.vehicle)
         if commands is None or np.shape(action) != self.action_space.shape:
             raise FlightError(
-                f"{NAME}: step: action = {short(action)}: expected finite numbers, of shape "
+                f"{NAME}: step: action = {short_repr(action)}: expected finite numbers, of shape "
                 f"{self.action_space.shape}"
             )
         reward = 0.0
@@ -176,11 +176,11 @@ def _space(simulation: Simulation) -> spaces.Dict:
     bounds = {
         "ranges": (0.0, range_m),
         "points": (-reach_m, reach_m),
-        "position": (-MOST_LENGTH_M, MOST_LENGTH_M),
+        "position": (-MAX_LENGTH_M, MAX_LENGTH_M),
         "quaternion": (-1.0, 1.0),
         "velocity": (-2 * speed, 2 * speed),
-        "goal": (-MOST_LENGTH_M, MOST_LENGTH_M),
-        "time_s": (0.0, simulation.rules.patience * MOST_LENGTH_M / speed),
+        "goal": (-MAX_LENGTH_M, MAX_LENGTH_M),
+        "time_s": (0.0, simulation.rules.patience * MAX_LENGTH_M / speed),
     }
     return spaces.Dict(
         {

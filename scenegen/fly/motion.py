@@ -28,7 +28,7 @@ POSITION, VELOCITY, ACCELERATION, HEADING = slice(0, 3), slice(3, 6), slice(6, 9
 """Slices of a state (11,): metres, m/s and m/s² in the world; cosine and sine of the yaw."""
 
 
-def most_pull(vehicle: Vehicle) -> float:
+def max_pull(vehicle: Vehicle) -> float:
     """Return the maximum acceleration by both bounds, m/s²: its own, and that of the tilt."""
     sine = float(sin_cos(math.radians(vehicle.tilt_deg))[0])
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
@@ -48,7 +48,7 @@ def advance(state: Floats, command: Command, vehicle: Vehicle) -> Floats:
     """
     target = command.astype(np.float64)
     sine, cosine = sin_cos(target[3] * STEP_S)
-    bounds = (vehicle.speed_mps, most_pull(vehicle), vehicle.jerk_mps3)
+    bounds = (vehicle.speed_mps, max_pull(vehicle), vehicle.jerk_mps3)
     states = np.empty((STEPS, len(state)))
     _advance(state, target, float(cosine), float(sine), bounds, states)
     return states
@@ -63,7 +63,7 @@ def pose_of(state: Floats, vehicle: Vehicle) -> Pose:
     """
     level = Pose.facing(state[POSITION], state[HEADING])
     x, y, z = state[ACCELERATION].tolist()
-    return leaning(level, (x, y, z), most_deg=vehicle.tilt_deg)
+    return leaning(level, (x, y, z), max_deg=vehicle.tilt_deg)
 
 
 @kernel
@@ -148,7 +148,7 @@ class Quadrotor:
     """Tracks the kinematic motion by a geometric controller (Lee et al. 2010): thrust from the
     desired acceleration, torque from the attitude that this needs."""
 
-    most_pull = (MAX_THRUST + 1) * GRAVITY
+    max_pull = (MAX_THRUST + 1) * GRAVITY
     """Maximum acceleration by thrust and weight, metres a second squared."""
 
     def __init__(self, state: Floats, vehicle: Vehicle):

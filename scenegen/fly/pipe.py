@@ -16,8 +16,8 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import MOST_REPEATED, printable
-from scenegen.base.limits import MOST_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
+from scenegen.base.errors import MAX_REPEATED, printable
+from scenegen.base.limits import MAX_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
 from scenegen.fly.loop import RobotError
 from scenegen.fly.serve import encoded
 from scenegen.fly.simulation import Observation
@@ -117,7 +117,7 @@ class PipeRobot:
             answer = json.loads(self._exchange(encoded(kind, arrays), seconds))
             if isinstance(answer, dict) and "error" in answer:
                 raise RobotError(
-                    "crashed", f"the robot ended: {printable(answer['error'])[:MOST_REPEATED]}"
+                    "crashed", f"the robot ended: {printable(answer['error'])[:MAX_REPEATED]}"
                 )
             return answer
         except RobotError:
@@ -151,11 +151,11 @@ class PipeRobot:
                         if not part:
                             raise RobotError("crashed", "the robot's process ended")
                 # an answer before the whole message was sent is no answer to it
-                if len(answer) > MOST_ANSWER_BYTES or answer[:-1].count(b"\n") or (answer and left):
+                if len(answer) > MAX_ANSWER_BYTES or answer[:-1].count(b"\n") or (answer and left):
                     raise RobotError(
                         "flooded",
                         f"the robot said {answer[:40]!a}…; expected one line for each observation, "
-                        f"of {MOST_ANSWER_BYTES} bytes at most",
+                        f"of {MAX_ANSWER_BYTES} bytes at most",
                     )
                 if time.monotonic() >= deadline:
                     raise RobotError("hung", f"the robot gave no answer in {seconds:g} s")

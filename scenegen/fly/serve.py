@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.registry import Registry
-from scenegen.base.errors import MOST_REPEATED, told
+from scenegen.base.errors import MAX_REPEATED, as_own_code_error
 
 ROBOTS = Registry(
     "robot",
@@ -75,7 +75,7 @@ def main() -> None:
         except Exception as error:
             if robot is not None:
                 traceback.print_exc()
-            answer = json.dumps({"error": str(told(error))[:MOST_REPEATED]})
+            answer = json.dumps({"error": str(as_own_code_error(error))[:MAX_REPEATED]})
         answers.write(answer.encode() + b"\n")
         answers.flush()
 

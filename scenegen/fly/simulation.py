@@ -24,7 +24,7 @@ from scenegen.fly.motion import (
     Command,
     Quadrotor,
     advance,
-    most_pull,
+    max_pull,
     pose_of,
 )
 from scenegen.fly.serve import numbers_of
@@ -179,9 +179,9 @@ class Simulation:
         before_m, vehicle = self._left_m(), self.vehicle
         low, high = np.array(self.mission.bounds)
         if self._body:
-            states, pull = self._body.advance(command), self._body.most_pull
+            states, pull = self._body.advance(command), self._body.max_pull
         else:
-            states, pull = advance(self.state, command, vehicle), most_pull(vehicle)
+            states, pull = advance(self.state, command, vehicle), max_pull(vehicle)
         stray = pull * STEP_S * STEP_S / 8
         radius, self._turning = vehicle.radius_m + stray, float(command[3])
         position, free, flown = (

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lidarsim.parameters import MIN_RETURN_M, Checked, check, number
-from scenegen.base.limits import MOST_PLACE_VOXELS
+from scenegen.base.limits import MAX_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from numpy.typing import NDArray
@@ -37,14 +37,14 @@ class LogScan:
 class Cruise(Checked):
     """How a sensor flies while it records a log."""
 
-    length_m: float = number(100.0, above=0, most=1e5)
+    length_m: float = number(100.0, above=0, maximum=1e5)
     """Length of the flight, metres."""
-    speed_mps: float = number(2.0, least=0.1, most=50)
+    speed_mps: float = number(2.0, minimum=0.1, maximum=50)
     """Speed, metres a second; it is less round corners."""
-    acceleration_mps2: float = number(4.0, least=0.1, most=100)
+    acceleration_mps2: float = number(4.0, minimum=0.1, maximum=100)
     """Maximum acceleration along the path and, separately, across it in bends, metres a second
     squared."""
-    yaw_rate_deg_s: float = number(60.0, above=0, most=360)
+    yaw_rate_deg_s: float = number(60.0, above=0, maximum=360)
     """Maximum yaw rate, degrees a second. The body faces along the flight within this limit."""
 
 
@@ -52,20 +52,20 @@ class Cruise(Checked):
 class Fusing:
     """How a log becomes maps."""
 
-    voxel_m: float = number(0.2, least=0.01, most=10)
+    voxel_m: float = number(0.2, minimum=0.01, maximum=10)
     """Edge of a map's voxel, metres."""
-    reach_m: float = number(30.0, above=0, most=1000)
+    reach_m: float = number(30.0, above=0, maximum=1000)
     """Maximum length of a ray, metres: a return farther away frees the voxels up to this distance
     and marks none as occupied."""
-    rise_m: float = number(10.0, above=0, most=1000)
+    rise_m: float = number(10.0, above=0, maximum=1000)
     """Height of the map above the sensor, and its depth below it, metres."""
-    least_m: float = number(MIN_RETURN_M, least=0, most=100)
+    least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
     """Returns nearer than this are of the vehicle that carries the sensor, and are left out,
     metres."""
-    moved_share: float = number(0.1, least=0, below=1)
+    moved_share: float = number(0.1, minimum=0, below=1)
     """A voxel is occupied if at least this share of the scans that observed it have a return in
     it. If fewer have, a moving object was there, and the voxel is free."""
-    every: int = number(10, least=1, most=10**6)
+    every: int = number(10, minimum=1, maximum=10**6)
     """One scan in so many is written as an observation."""
     deskew: bool = False
     """Whether points are corrected for the sensor's motion during a scan: each by its time, along
@@ -75,9 +75,9 @@ class Fusing:
         check(self)
         # the window of one scan: twice the reach, and some voxels around it
         wide, high = 2 * self.reach_m / self.voxel_m + 8, 2 * self.rise_m / self.voxel_m + 8
-        if wide * wide * high > MOST_PLACE_VOXELS:
+        if wide * wide * high > MAX_PLACE_VOXELS:
             raise ValueError(
                 f"reach {self.reach_m:g} m, rise {self.rise_m:g} m, voxels of {self.voxel_m:g} m: "
-                f"one scan would take more than {MOST_PLACE_VOXELS} voxels; expected larger "
+                f"one scan would take more than {MAX_PLACE_VOXELS} voxels; expected larger "
                 "voxels, or a shorter reach or rise"
             )

@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from lidarsim import Pose
+from lidarsim.parameters import short_repr
 from lidarsim.pose import chained
-from scenegen.base.errors import short
 from scenegen.worlds.poses import Track, poses_of
 
 STATIC = "_static"
@@ -91,23 +91,28 @@ class Links:
         links, name = list[Link](), frame.lstrip("/")
         if name == self._fixed:
             raise ValueError(
-                f"--fixed-frame {short(name)} is the frame of its clouds; name one above it"
+                f"--fixed-frame {short_repr(name)} is the frame of its clouds; name one above it"
             )
         if name not in self._rows:
             raise ValueError(
-                f"neither /tf nor odometry says where {short(frame)} is, the frame of its clouds; "
-                f"they speak of {', '.join(map(short, sorted(self._rows))) or 'no frame'}; give "
+                f"neither /tf nor odometry says where {short_repr(frame)} is, the frame of its "
+                "clouds; "
+                "they speak of "
+                f"{', '.join(map(short_repr, sorted(self._rows))) or 'no frame'}; give "
                 "the poses of the sensor with --poses"
             )
         while name in self._rows and name != self._fixed:
             links.append(self._link(name))
             name = links[-1].parent
             if any(link.child == name for link in links):  # else this would never end
-                raise ValueError(f"its frame {short(name)} hangs from itself, by {links[-1].topic}")
+                raise ValueError(
+                    f"its frame {short_repr(name)} hangs from itself, by {links[-1].topic}"
+                )
         if self._fixed not in (None, name):
             raise ValueError(
-                f"{short(frame)} does not hang from --fixed-frame {short(self._fixed)}, but from "
-                f"{', '.join(short(link.parent) for link in links)}"
+                f"{short_repr(frame)} does not hang from --fixed-frame "
+                f"{short_repr(self._fixed)}, but from "
+                f"{', '.join(short_repr(link.parent) for link in links)}"
             )
         return tuple(links)
 
@@ -121,7 +126,8 @@ class Links:
         parent = self._fixed if self._fixed in parents else next(iter(parents))
         if len(parents) > 1 and parent != self._fixed:
             raise ValueError(
-                f"{source[1]} says where {short(name)} is in {' and in '.join(map(short, parents))}"
+                f"{source[1]} says where {short_repr(name)} is in "
+                f"{' and in '.join(map(short_repr, parents))}"
                 "; expected one parent; name the one to follow with --fixed-frame, or give the "
                 "poses of the sensor with --poses"
             )
@@ -130,14 +136,15 @@ class Links:
         )
         if math.inf in rows:
             raise ValueError(
-                f"{topic} says twice, and not the same, where {short(name)} is in {short(parent)}; "
+                f"{topic} says twice, and not the same, where {short_repr(name)} is in "
+                f"{short_repr(parent)}; "
                 "expected one transform, which never changes; give the poses with --poses"
             )
         times = sorted(rows)
         # before their filter has begun, drivers of odometry send quaternions of zeros
         first = next((n for n, time in enumerate(times) if any(rows[time][3:])), 0)
         numbers = np.array([rows[time] for time in times[first:]])
-        poses = poses_of(numbers, f"{topic}: {short(name)}")
+        poses = poses_of(numbers, f"{topic}: {short_repr(name)}")
         return Link(parent, name, topic, Track(np.array(times[first:]), poses))
 
 

@@ -22,8 +22,14 @@ from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
 from scenegen.base.errors import DatasetError, SceneError
 from scenegen.base.executors import Counted, unheard
-from scenegen.base.files import check_free, disk_told, make_parent, remove_drafts, write_whole
-from scenegen.base.limits import MOST_PLACE_VOXELS
+from scenegen.base.files import (
+    check_free,
+    disk_errors,
+    make_parent,
+    remove_temp_files,
+    write_atomic,
+)
+from scenegen.base.limits import MAX_PLACE_VOXELS
 from scenegen.base.reading import sha256_of
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.log import Log
@@ -59,7 +65,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> C
     The folder has ``.part`` behind its name until it is complete. If a run is stopped or killed, or
     meets a scan that it cannot read, the same call continues from the last save, to the same bits.
 
-    A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied if it
+    A new map begins where one would have more than `MAX_PLACE_VOXELS`. A voxel is occupied if it
     holds returns, except those of moving objects (see `Fusing`), and free if it holds none and a
     ray crosses it. An observation, ``observations/000010.npz``, has the scan's `points` from the
     sensor along the world's axes, `position`, `quaternion` and `time_s`; and in the usual grid
@@ -85,7 +91,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> C
     check_free(out)
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
-    with disk_told(out):
+    with disk_errors(out):
         run = _Run(log, how, unfinished, on_done)
         try:
             run.write()
@@ -93,7 +99,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> C
             shutil.rmtree(unfinished)
             raise
         (unfinished / PROGRESS).unlink()
-        remove_drafts(unfinished)  # of runs that were killed while they wrote a map
+        remove_temp_files(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
     return run.report
@@ -140,7 +146,7 @@ class _Run:
             "scan": self._scan,
             "report": json.dumps(self.report),
         }
-        write_whole(self._folder / PROGRESS, encode_npz(progress))
+        write_atomic(self._folder / PROGRESS, encode_npz(progress))
         self._saved_s = time.monotonic()
 
     def write(self) -> None:
@@ -159,7 +165,7 @@ class _Run:
             }
             place = self._fused(part, observations)
             name = f"place-{number:03d}.npz"
-            write_whole(self._folder / name, encode_map(place, name))
+            write_atomic(self._folder / name, encode_map(place, name))
             for observation in observations.values():
                 self.report.update(_observe(observation, place))
             self.report.update(
@@ -175,12 +181,12 @@ class _Run:
             )
 
     def _parts(self) -> Iterator[range]:
-        """Yield the range of scans of each map: as many as fit into `MOST_PLACE_VOXELS`."""
+        """Yield the range of scans of each map: as many as fit into `MAX_PLACE_VOXELS`."""
         poses = self._log.poses
         begin, low, high = 0, poses[0].position, poses[0].position
         for n, pose in enumerate(poses):
             low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
-            if math.prod(self._box(low, high)[1]) > MOST_PLACE_VOXELS:
+            if math.prod(self._box(low, high)[1]) > MAX_PLACE_VOXELS:
                 yield range(begin, n)
                 begin, low, high = n, pose.position, pose.position
         yield range(begin, len(poses))
@@ -219,7 +225,7 @@ class _Run:
                     "time_s": np.float64(scan.time_s),
                 }
                 # not synced, for speed: a kill loses nothing, and a power failure at most this
-                write_whole(observations[n], encode_npz(observation), sync=False)
+                write_atomic(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
             self._on_done(1)
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
@@ -366,7 +372,7 @@ def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
     observation |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
     observation |= {"observed": seen.observed, "free": seen.free}
     observation |= {"occupancy": occupancy, "known": known}
-    write_whole(path, encode_npz(observation), sync=False)
+    write_atomic(path, encode_npz(observation), sync=False)
     voxels = grid.index(points, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
     outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))

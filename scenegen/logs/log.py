@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
-from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.parameters import MAX_LENGTH_M
 from scenegen.base.errors import DatasetError
 from scenegen.logs import LogScan
 from scenegen.logs.bags import Reader
@@ -105,7 +105,7 @@ def make_log(
         details: `Log.details` without the times of points.
 
     Raises:
-        DatasetError: No scan has a pose, or a pose is beyond `MOST_LENGTH_M`.
+        DatasetError: No scan has a pose, or a pose is beyond `MAX_LENGTH_M`.
     """
     placed = [n for n, pose in enumerate(poses) if pose is not None]
     if not placed:
@@ -114,9 +114,9 @@ def make_log(
             f"{span(times)}, and poses {span(posed_s)}; expected seconds of the same clock"
         )
     held = tuple(filter(None, poses))
-    if (furthest := max(abs(pose.position).max() for pose in held)) > MOST_LENGTH_M:
+    if (furthest := max(abs(pose.position).max() for pose in held)) > MAX_LENGTH_M:
         raise DatasetError(
-            f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
+            f"{path}: a pose is beyond {MAX_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
             "position from all (UTM lies so far out), or give them in metres"
         )
     # a log without times of points is a log: only `--deskew` needs them

@@ -12,7 +12,7 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
-from scenegen.base.errors import DatasetError, raised_as
+from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.paths import RECORDINGS, kitti_poses, recordings_in
 from scenegen.logs.bags import Contents, Reader, Recording
 from scenegen.logs.frames import pose_at
@@ -128,7 +128,7 @@ def _read_recording(
     contents = bag.contents(topic, fixed_frame)
     times = contents.stamps_s
     if poses_file is None:
-        with raised_as(DatasetError, f"{path}: "):
+        with reraise_as(DatasetError, f"{path}: "):
             poses, posed_s, source, form = _by_frames(contents)
     else:
         track = read_poses(poses_file)

@@ -15,10 +15,11 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS, __version__
-from scenegen.base.errors import DatasetError, PublishError, raised_as, short
+from scenegen.base.errors import DatasetError, PublishError, reraise_as
 from scenegen.base.executors import commit
-from scenegen.base.files import make_parent, real_path, whole_folder, write_whole
+from scenegen.base.files import make_parent, real_path, whole_folder, write_atomic
 from scenegen.dataset import manifest
 from scenegen.dataset.like import check_same
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
@@ -35,7 +36,7 @@ from scenegen.worlds.kinds import KINDS
 
 SUMS = "SHA256SUMS"
 """File with digest and name of every other file, which `sha256sum --check` reads."""
-MOST_FILES = 100_000
+MAX_FILES = 100_000
 """Maximum number of shards and archives. The Hub advises against repositories with more files."""
 MAX_LISTED = 300
 """Maximum number of files with an entry each in Croissant; the manifest always has all digests."""
@@ -120,9 +121,9 @@ def examine(request: Request) -> Dataset:
     """
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    if (files := len(dataset.manifest.files)) > MOST_FILES:
+    if (files := len(dataset.manifest.files)) > MAX_FILES:
         raise PublishError(
-            f"{request.dataset}: has {files} files, more than the {MOST_FILES} that publish takes; "
+            f"{request.dataset}: has {files} files, more than the {MAX_FILES} that publish takes; "
             "generate it again with a larger --shard-samples, which changes no sample"
         )
     described = dataset.manifest
@@ -130,7 +131,8 @@ def examine(request: Request) -> Dataset:
         _check_kind(described.kind, request.kind)
     if not described.noise_is_ours:
         raise PublishError(
-            f"its noise, {short(described.noise_stages)}, has stages of a user's own; publish does "
+            f"its noise, {short_repr(described.noise_stages)}, has stages of a user's own; "
+            "publish does "
             "not import them, and so cannot say whether its command makes the same ranges again"
         )
     if request.kind is not None:
@@ -138,7 +140,7 @@ def examine(request: Request) -> Dataset:
             manifest.read_content(request.dataset), request.dataset, request.kind
         )
     # the command on the card must make the same dataset, which takes the same versions
-    with raised_as(PublishError, of=DatasetError):
+    with reraise_as(PublishError, of=DatasetError):
         check_same(described, str(request.dataset))
     return dataset
 
@@ -148,7 +150,7 @@ def _check_kind(kind: str, named: str | None) -> None:
     never imported because a manifest names it."""
     if kind != "scene" and kind not in KINDS.builtin and kind != named:
         raise PublishError(
-            f"the dataset's kind, {short(kind)}, is a user's own, and only its module can say "
+            f"the dataset's kind, {short_repr(kind)}, is a user's own, and only its module can say "
             "whether the recipe makes the same worlds again; give --kind with its name to have it "
             "imported"
         )
@@ -188,10 +190,10 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     tag = request.tag or f"v{VERSION}-{digest[:8]}"
     with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
         take(request.dataset, draft, described.files)
-        write_whole(draft / NAME, content)
+        write_atomic(draft / NAME, content)
         if kept_measures(dataset):
             figures = measures_file(dataset)
-            write_whole(draft / figures.name, figures.read_bytes())
+            write_atomic(draft / figures.name, figures.read_bytes())
         listed = {NAME: file_sha256(draft / NAME)}
         sums = described.files | listed
         # of the draft, so that the card describes the files that are sent
@@ -216,7 +218,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
             "requirements.lock.txt": _environment_lock(described),
         }
         for file, text in texts.items():
-            write_whole(draft / file, text.encode())
+            write_atomic(draft / file, text.encode())
         sizes = seal(draft, sums)
     return Staged(
         folder=request.out, repository=request.repository, tag=tag, files=sizes, digest=digest
@@ -238,12 +240,12 @@ def _draw(dataset: Dataset, draft: Path) -> str:
             looks(dataset, split, evenly(len(dataset.split(split)), SHOWN))[0]
         ):
             name = f"pictures/{split}-{number}.png"
-            write_whole(draft / name, to_bytes(draw_sample(look), ".png"))
+            write_atomic(draft / name, to_bytes(draw_sample(look), ".png"))
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
     with suppress(DatasetError):  # a grid that is too large
         text = page(samples, title=f"{dataset.kind}, {split}", notes=notes)
-        write_whole(draft / PAGE, text.encode())
+        write_atomic(draft / PAGE, text.encode())
         parts.append(
             f"Samples in three dimensions: download [{PAGE}]({PAGE}), and open it in a browser."
         )
@@ -332,7 +334,7 @@ def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
     """
     names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
     lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
-    write_whole(draft / SUMS, "".join(lines).encode())
+    write_atomic(draft / SUMS, "".join(lines).encode())
     return {name: (draft / name).stat().st_size for name in [*names, SUMS]}
 
 

@@ -18,13 +18,14 @@ import isal.isal_zlib
 import msgspec
 import numpy as np
 
+from lidarsim.parameters import short_repr
 from scenegen import GENERATOR, SPLITS
-from scenegen.base.errors import DatasetError, GenerationError, RecipeError, SceneError, short
+from scenegen.base.errors import DatasetError, GenerationError, RecipeError, SceneError
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_UNITS_IN_ROUND
+from scenegen.base.limits import MAX_UNITS_IN_ROUND
 from scenegen.base.paths import WORLD_FILES
 from scenegen.base.reading import sha256_of
-from scenegen.base.workers import MOST_REPLACED, Worker
+from scenegen.base.workers import MAX_REPLACED, Worker
 from scenegen.dataset.build import recipe_entry
 from scenegen.dataset.shard import Units, find_engine
 from scenegen.draw.mixture import fraction
@@ -159,7 +160,7 @@ class Ahead:
     def _replace(self, worker: Worker) -> None:
         """Replace a worker that died."""
         self._died += 1
-        if self._died > MOST_REPLACED:
+        if self._died > MAX_REPLACED:
             raise GenerationError(
                 f"stream: worker processes were killed {self._died} times (out of memory?); give "
                 f"fewer than {len(self._given)}"
@@ -198,7 +199,8 @@ class Component(Units):
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise DatasetError(
-                f"stream: has no split {short(self.split)}; expected one of {', '.join(SPLITS)}"
+                f"stream: has no split {short_repr(self.split)}; expected one of "
+                f"{', '.join(SPLITS)}"
             )
         # a missing engine fails here, and not in a worker
         find_engine(self.engine)
@@ -263,7 +265,8 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
             recipe = source.suited(preset("scene"))
     else:
         raise RecipeError(
-            f"stream of {short(what)}: expected a kind's name, a recipe or its file, an MJCF file "
+            f"stream of {short_repr(what)}: expected a kind's name, a recipe or its file, an "
+            "MJCF file "
             f"or a folder of them"
         )
     if source is None and recipe.world is None:
@@ -320,14 +323,14 @@ class Mixture:
         denominator = math.lcm(*(share.denominator for share in shares))
         self.units = tuple(int(share * denominator) for share in shares)
         """Number of units of each component in a round."""
-        if sum(self.units) > MOST_UNITS_IN_ROUND:
+        if sum(self.units) > MAX_UNITS_IN_ROUND:
             listed = ", ".join(
-                f"{component.label} {short(weight)}"
+                f"{component.label} {short_repr(weight)}"
                 for component, weight in zip(components, weights, strict=True)
             )
             raise RecipeError(
-                f"stream: weights {listed} come round after {short(sum(self.units))} flights, "
-                f"expected {MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
+                f"stream: weights {listed} come round after {short_repr(sum(self.units))} flights, "
+                f"expected {MAX_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
             )
         # spread the units of each component evenly over the round
         places = sorted(

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines import DEFAULT
-from scenegen.base.errors import DatasetError, short, whole_number
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, check_int
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
+from scenegen.base.limits import MAX_BATCH, MAX_SAMPLES, MAX_SEED, MAX_WORKERS
 from scenegen.base.reading import sha256_of
 from scenegen.dataset.manifest import schema_of
 from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
@@ -66,9 +67,9 @@ class Stream(Samples):
         workers: int,
     ):
         self.seed, self.split = seed, split
-        self.workers = whole_number("stream: workers =", workers, 0, MOST_WORKERS)
+        self.workers = check_int("stream: workers =", workers, 0, MAX_WORKERS)
         self.mixture = mixture
-        self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
+        self._samples = check_int("stream: samples =", samples, 1, MAX_SAMPLES)
         parts = [
             # units of a round identify the order: weights 1:2 and 2:4 give the same stream
             {"drawn": part.described(), "units": units}
@@ -233,16 +234,16 @@ class Place:
         """
         if not isinstance(state, Mapping):
             raise DatasetError(
-                f"state of a stream: {short(state)}: expected what state_dict() gave"
+                f"state of a stream: {short_repr(state)}: expected what state_dict() gave"
             )
         for name, expected in self._of.items():
             if state.get(name) != expected:
                 raise DatasetError(
-                    f"state of a stream: its {name} is {short(state.get(name))}, expected "
-                    f"{short(expected)}: it is of another one"
+                    f"state of a stream: its {name} is {short_repr(state.get(name))}, expected "
+                    f"{short_repr(expected)}: it is of another one"
                 )
         where = f"state of a stream: its {self._unit} ="
-        self._done = whole_number(where, state.get(self._unit), 0, self._limit)
+        self._done = check_int(where, state.get(self._unit), 0, self._limit)
 
 
 class Reader(Place, Iterator[Sample]):
@@ -281,10 +282,10 @@ class Batches(Place, Iterator[list[int]]):
     """
 
     def __init__(self, stream: Stream, size: int, *, rank: int, ranks: int, loaders: int):
-        size = whole_number("stream: size =", size, 1, MOST_BATCH)
-        ranks = whole_number("stream: ranks =", ranks, 1, MOST_WORKERS)
-        rank = whole_number("stream: rank =", rank, 0, ranks - 1)
-        loaders = whole_number("stream: loaders =", loaders, 1, MOST_WORKERS)
+        size = check_int("stream: size =", size, 1, MAX_BATCH)
+        ranks = check_int("stream: ranks =", ranks, 1, MAX_WORKERS)
+        rank = check_int("stream: rank =", rank, 0, ranks - 1)
+        loaders = check_int("stream: loaders =", loaders, 1, MAX_WORKERS)
         if size % ranks:
             raise DatasetError(
                 f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "
@@ -311,7 +312,7 @@ class Batches(Place, Iterator[list[int]]):
     def __getitem__(self, number: int) -> list[int]:
         """Sample numbers of batch `number`, or of this rank's part of it. Raises IndexError."""
         if not 0 <= number < self._count:
-            raise IndexError(f"batch {short(number)} of {self._count}")
+            raise IndexError(f"batch {short_repr(number)} of {self._count}")
         turn, offset = divmod(number, self._row * self._loaders)
         view, block_offset = divmod(offset, self._loaders)
         block = turn * self._loaders + block_offset
@@ -365,7 +366,7 @@ def stream(
         SceneError: if a file cannot be used as a world.
         DatasetError: if a number, the split or the engine is invalid.
     """
-    seed = whole_number("stream: seed =", seed, 0, MOST_SEED)
+    seed = check_int("stream: seed =", seed, 0, MAX_SEED)
     parts = [part for pair in parts_of(worlds) for part in _unmixed(*pair, seed)]
     components = [
         component_of(source, seed=seed, split=split, engine=engine) for source, _ in parts

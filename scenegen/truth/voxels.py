@@ -9,9 +9,9 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.grid import Floats, GridSpec, Ints, Mask
 from lidarsim.jit import kernel
 
-LEAST_OVERLAP_M = 1e-6
+MIN_OVERLAP_M = 1e-6
 """Voxels that overlap less than this along an axis only touch, because of rounding."""
-LEAST_KNOWN = 0.5
+MIN_KNOWN = 0.5
 """The share of a voxel's volume that must be free in the map for the voxel to be known as free."""
 
 
@@ -35,7 +35,7 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
     first = (np.asarray(origin, float) - voxels.origin) / voxels.voxel_m
     states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
     # in voxels of the map, as everything from here on
-    slack = LEAST_OVERLAP_M / voxels.voxel_m
+    slack = MIN_OVERLAP_M / voxels.voxel_m
     x, y, z = (
         _axis(*axis, edge, slack) for axis in zip(first, grid.shape, states.shape, strict=True)
     )
@@ -91,7 +91,7 @@ def _resample(states, x, y, z, occupancy, known):
                 for k in range(nz):
                     joined[k] |= column[place[k]]
             for k in range(nz):  # space beyond the map is unknown; unknown is 1 << 0
-                joined[k] |= all_x[i] * all_y[j] * all_z[k] <= LEAST_KNOWN
+                joined[k] |= all_x[i] * all_y[j] * all_z[k] <= MIN_KNOWN
             if _classify(joined, occupancy[i, j], known[i, j]) == 0:
                 continue
             for k in range(nz):
@@ -105,7 +105,7 @@ def _resample(states, x, y, z, occupancy, known):
                             for c in range(len(line)):
                                 part += share * in_z[k, c] * (line[c] == FREE)
                     # 1e-9: shares that sum to exactly one half may round below it
-                    known[i, j, k] = part >= LEAST_KNOWN - 1e-9
+                    known[i, j, k] = part >= MIN_KNOWN - 1e-9
 
 
 @kernel

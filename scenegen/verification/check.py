@@ -17,7 +17,7 @@ from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
 from lidarsim.solids import Solids
-from scenegen.base.errors import BrokenError, SceneError, raised_as
+from scenegen.base.errors import CorruptFileError, SceneError, reraise_as
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.manifest import Manifest
@@ -42,8 +42,8 @@ class Check:
 
     It has a function for each level that it examines. The function gets the object and the check's
     page of the ledger, where it records faults, counts what it examined, and keeps data for the
-    final level. A BrokenError becomes a fault of the check. A check that counts nothing and has no
-    faults is reported as skipped, so checks count samples without findings, too.
+    final level. A CorruptFileError becomes a fault of the check. A check that counts nothing and
+    no faults is reported as skipped, so checks count samples without findings, too.
     """
 
     name: str
@@ -142,13 +142,15 @@ class Worlds:
             name: Its name, for messages.
 
         Raises:
-            BrokenError: if it is damaged, or a world is refused.
+            CorruptFileError: if it is damaged, or a world is refused.
         """
         max_worlds = task.entry.samples
         with open_archive(file, name) as members:
             # bounds the time that screening may take
             if (worlds := sum(member.endswith(".xml") for member in members)) > max_worlds:
-                raise BrokenError(f"{worlds} worlds, expected one a sample at most, {max_worlds}")
+                raise CorruptFileError(
+                    f"{worlds} worlds, expected one a sample at most, {max_worlds}"
+                )
             assets = {member: members.read(member) for member in members}
             documents = {
                 int(name[:-4]): assets.pop(name) for name in [*assets] if name.endswith(".xml")
@@ -164,25 +166,25 @@ class Worlds:
         """Document of a world, and the files that it refers to.
 
         Raises:
-            BrokenError: if there is no such world.
+            CorruptFileError: if there is no such world.
         """
         if number not in self.documents:
-            raise BrokenError(f"has no member {number:06d}.xml")
+            raise CorruptFileError(f"has no member {number:06d}.xml")
         document = self.documents[number]
         return document, {name: self.assets[name] for name in referred(document, self.assets)}
 
     def compile(self, number: int) -> Solids | VoxelMap:
         """Compile a world, and keep its solids, or its map, for checks of samples. Raises
-        BrokenError."""
+        CorruptFileError."""
         world = self.world(number)
         self.solids[number] = world.voxels if isinstance(world, Place) else world.solids
         return self.solids[number]
 
     @lru_cache(maxsize=1)  # noqa: B019 (consecutive samples share a world)
     def world(self, number: int) -> AnyWorld:
-        """Compile a world. Raises BrokenError."""
+        """Compile a world. Raises CorruptFileError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
-        with raised_as(BrokenError, of=SceneError):
+        with reraise_as(CorruptFileError, of=SceneError):
             return archived_world(*self.source(number), name=name)
 
 
@@ -204,7 +206,7 @@ class Shard:
 
     @cached_property
     def first_place(self) -> int:
-        """Position of its first sample in its split. Raises BrokenError."""
+        """Position of its first sample in its split. Raises CorruptFileError."""
         return self.task.contract.first_place(self.task.entry)
 
     @cached_property
@@ -271,7 +273,7 @@ class Sample:
     @property
     def audited(self) -> AnyWorld | None:
         """Its compiled world, if expensive checks examine this sample; otherwise None. Raises
-        BrokenError."""
+        CorruptFileError."""
         worlds = self.shard.worlds
         if worlds is None or self.solids is None or self.row not in self.shard.audited:
             return None
@@ -290,12 +292,13 @@ class Sample:
 
     @cached_property
     def scans(self) -> list[Scan]:
-        """Stored scans: its own, then earlier ones. Raises BrokenError if a pose is invalid."""
-        with raised_as(BrokenError, f"{self.where}: "):
+        """Stored scans: its own, then earlier ones. Raises CorruptFileError if a pose is "
+        "invalid."""
+        with reraise_as(CorruptFileError, f"{self.where}: "):
             return scans_of(self.contract, self.fields.__getitem__)
 
     @cached_property
     def seen(self) -> ObservedGrid:
-        """Map that follows from the stored scans. Raises BrokenError if a pose is invalid."""
+        """Map that follows from the stored scans. Raises CorruptFileError if a pose is invalid."""
         contract = self.contract
         return fuse(self.scans[::-1], contract.grid, self.fields["origin"], contract.mapping)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lidarsim.parameters import short_repr
 from scenegen import SPLITS
-from scenegen.base.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.base.files import names_in
+from scenegen.base.errors import CorruptFileError, DatasetError, printable, reraise_as
+from scenegen.base.files import list_dir
 from scenegen.base.reading import sha256_in, world_digest
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import referred
@@ -37,26 +38,26 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
-        with raised_as(BrokenError, f"{NAME}: ", of=BrokenError):
+        with reraise_as(CorruptFileError, f"{NAME}: ", of=CorruptFileError):
             try:
                 parsed = manifest.parse(content, folder, kind)
-            except BrokenError:
+            except CorruptFileError:
                 raise
             except DatasetError as error:  # of another version, or no manifest
                 raise DatasetError(f"{folder}: {NAME} {error}") from None
             if kind is not None:
                 if kind != parsed.kind:
                     raise DatasetError(
-                        f"--kind {kind}: the dataset's kind is {short(parsed.kind)}; leave "
+                        f"--kind {kind}: the dataset's kind is {short_repr(parsed.kind)}; leave "
                         "--kind out, or give that"
                     )
                 # imports the module, which the user named
-                with raised_as(DatasetError, "--kind: "):
+                with reraise_as(DatasetError, "--kind: "):
                     find_kind(kind)
             # computed now, so that faults in its tables are recorded here
             parsed.recipe  # noqa: B018
         _check_shards(parsed, page)
-        # stays None if anything above raised BrokenError
+        # stays None if anything above raised CorruptFileError
         contract = parsed
     return contract
 
@@ -86,7 +87,9 @@ def _check_shards(contract: Manifest, page: Page) -> None:
         for number, entry in enumerate(entries):
             scenes = contract.scenes
             if scenes is not None and not scenes.get(split):
-                raise BrokenError(f"{where}: scenes names no world for {split}, which has samples")
+                raise CorruptFileError(
+                    f"{where}: scenes names no world for {split}, which has samples"
+                )
             # an incomplete dataset may lack shards in between
             stem = stem_of(split, number) if complete else entry.file.removesuffix(".h5")
             page.expect(
@@ -96,7 +99,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 f"{stem}.h5, {stem}.worlds.zip are expected",
             )
             _check_size(contract, entry, number == len(entries) - 1, page)
-    files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
+    files = {name for name in list_dir(contract.folder) if name.endswith((".h5", ".zip"))}
     # three names are enough for one line; they are untrusted
     stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")

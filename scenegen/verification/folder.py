@@ -9,13 +9,13 @@ from typing import Any
 
 import msgspec
 
-from scenegen.base.errors import BrokenError, DatasetError, raised_as, told
+from scenegen.base.errors import CorruptFileError, DatasetError, as_own_code_error, reraise_as
 from scenegen.base.executors import Begun, Counted, Executor, unheard
 from scenegen.base.mirrors import fetch
 from scenegen.base.reading import size_of
 from scenegen.base.workers import Limited, Local
 from scenegen.dataset.collection import open_data
-from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
+from scenegen.dataset.layout import DIGEST, max_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
@@ -36,7 +36,7 @@ from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
 from scenegen.verification.report import Ledger, Outcome, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
-from scenegen.verification.splits import MOST_TWINS, world_digests
+from scenegen.verification.splits import MAX_TWINS, world_digests
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.verification.viewpoints import CHECKS as OF_VIEWPOINTS
 from scenegen.worlds.recipe import preset
@@ -108,7 +108,7 @@ def examine(task: Task) -> Findings:
                         # an error in one of our checks is a bug, not a fault of the dataset
                         if check in CHECKS:
                             raise
-                        page.fault(str(told(error)))  # the user's own code fails
+                        page.fault(str(as_own_code_error(error)))  # the user's own code fails
 
     worlds, path = None, contract.folder / entry.worlds
     # the archive first, as checks of samples use its worlds
@@ -121,11 +121,11 @@ def examine(task: Task) -> Findings:
     with ledger.checking(LAYOUT.name) as page:
         with open_file(path) as file:
             # hashing a file of unlimited size could take hours
-            if size_of(file) <= most_bytes(contract.layout, entry.samples):
+            if size_of(file) <= max_bytes(contract.layout, entry.samples):
                 _make_checks("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(path, entry.samples, contract.layout)
         if opened.stray_bytes:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"
             )
         opened.check_origin(
@@ -239,7 +239,7 @@ class _Walk:
         self._checks: list[Check] = []
         self._all_tasks: list[Task] = []
         if self.contract is not None:
-            with raised_as(DatasetError, "--check: "):
+            with reraise_as(DatasetError, "--check: "):
                 self._checks = chosen_checks(self.contract, quick=quick, own=own)
             self._all_tasks = _tasks(self.contract, quick=quick, seed=seed, own=own)
         self._tasks = execute.mine(self._all_tasks)
@@ -337,8 +337,8 @@ def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) ->
     """Tasks of all shards. The list of shards is left out of their manifests: pickling it with each
     task would take quadratic time."""
     bare = msgspec.structs.replace(contract, shards=())
-    # rounded up, so that no more than MOST_TWINS are compared
-    twins_of = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
+    # rounded up, so that no more than MAX_TWINS are compared
+    twins_of = -(-sum(entry.samples for entry in contract.shards) // MAX_TWINS) or 1
     return [
         Task(
             contract=bare,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec, Lidar, Sensor
 from lidarsim.engines import Caster
-from lidarsim.engines.voxels import LEAST_CHORD_M, OCCUPIED, VoxelMap
+from lidarsim.engines.voxels import MIN_CHORD_M, OCCUPIED, VoxelMap
 from lidarsim.grid import Field, Floats, Ints, Mask
 
 SLACK_M = 2e-6
@@ -109,7 +109,7 @@ class MapAuditor:
             # space outside the map is free
             hits[hits] = states[tuple(cells[hits].T)] == OCCUPIED
             # a shorter chord only touches a voxel's edge, which the engine ignores, too
-            hits &= (chords >= LEAST_CHORD_M) & (middle <= max_range_m)
+            hits &= (chords >= MIN_CHORD_M) & (middle <= max_range_m)
             has_hit = hits.any(axis=1)
             ranges[first : first + batch][has_hit] = middle[has_hit, hits[has_hit].argmax(axis=1)]
         return ranges

@@ -11,7 +11,13 @@ from lidarsim import Scan
 from lidarsim.engines import ENGINES
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
-from scenegen.base.errors import BrokenError, GenerationError, RecipeError, SceneError, raised_as
+from scenegen.base.errors import (
+    CorruptFileError,
+    GenerationError,
+    RecipeError,
+    SceneError,
+    reraise_as,
+)
 from scenegen.base.executors import software
 from scenegen.dataset.like import scan_again
 from scenegen.dataset.manifest import Manifest
@@ -50,7 +56,7 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     """Draw a flight again; or, if the dataset was scanned again from another one, scan it from its
     stored poses.
 
-    Call it only if `why_not_made` is empty. Raises BrokenError if it fails.
+    Call it only if `why_not_made` is empty. Raises CorruptFileError if it fails.
     """
     contract, split, worlds = shard.task.contract, shard.task.entry.split, shard.worlds
     assert worlds is not None
@@ -58,9 +64,9 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     scenes: Any = contract.scenes
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
     errors = (GenerationError, RecipeError, SceneError)
-    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=errors):
+    with reraise_as(CorruptFileError, f"{split} flight {unit} cannot be made again: ", of=errors):
         if contract.like is not None:
-            with raised_as(BrokenError, f"{shard.task.entry.file}: "):
+            with reraise_as(CorruptFileError, f"{shard.task.entry.file}: "):
                 stored = (partial(shard.file.value, row=row) for row, _ in views)
                 poses = [[scan.pose for scan in scans_of(contract, fields)] for fields in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
@@ -155,12 +161,12 @@ def _effort(world: AnyWorld, max_range_m: float) -> int:
 
 def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     """Clean scans of a noisy sample by the dataset's own engine. With noise added, they must equal
-    the stored scans if the software is the same. Raises BrokenError."""
+    the stored scans if the software is the same. Raises CorruptFileError."""
     task, contract = sample.shard.task, sample.contract
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.first_place + sample.row, contract.recipe.flight.viewpoints)
     errors = (GenerationError, ValueError)
-    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=errors):
+    with reraise_as(CorruptFileError, f"{sample.where}: cannot be scanned again: ", of=errors):
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         key = UnitKey(contract.seed, task.entry.split, unit)
         seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
@@ -189,7 +195,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
         flights = _flights(shard)
         # one flight for each shard, as drawing takes as long as it did at first
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
-    except BrokenError as error:
+    except CorruptFileError as error:
         page.fault(str(error))
     # with other software, differences prove nothing
     if page.faults and (why := why_other(task.contract)):
@@ -198,7 +204,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
 
 
 def _flights(shard: Shard) -> list[tuple[int, Views]]:
-    """Units with samples in the shard, and (row, view) of each sample. Raises BrokenError."""
+    """Units with samples in the shard, and (row, view) of each sample. Raises CorruptFileError."""
     task = shard.task
     by_unit: dict[int, Views] = {}
     for row in range(task.entry.samples):

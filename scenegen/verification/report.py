@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from scenegen.base.errors import BrokenError, plural
+from scenegen.base.errors import CorruptFileError, plural
 from scenegen.base.files import Json
 
 MAX_LINES = 3
@@ -176,11 +176,12 @@ class Ledger(dict[str, Page]):
 
     @contextmanager
     def checking(self, check: str) -> Iterator[Page]:
-        """Time a check, without the checks inside the block. A BrokenError becomes its fault."""
+        """Time a check, without the checks inside the block. A CorruptFileError becomes its "
+        "fault."""
         page, begin, outer, self._inner = self[check], time.perf_counter(), self._inner, 0.0
         try:
             yield page
-        except BrokenError as error:
+        except CorruptFileError as error:
             page.fault(str(error))
         finally:
             elapsed = time.perf_counter() - begin

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
-from scenegen.base.errors import BrokenError, GuardError, raised_as
+from scenegen.base.errors import CorruptFileError, GuardError, reraise_as
 from scenegen.base.limits import GUARD_BYTES, GUARD_S
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import Layout, ShardFile, open_shard
@@ -34,7 +34,7 @@ floor if both maps fill at least the second number of it. Nearly empty floors ma
 observed alike; what stands on them then distinguishes them."""
 MAX_COMPARED = 5_000
 """Maximum number of pairs that are compared voxel by voxel."""
-MOST_TWINS = 20_000
+MAX_TWINS = 20_000
 """Maximum number of samples in the search, evenly spread. Each takes 2.5 KB of memory until the
 end, and is compared with thousands of others."""
 BLOCKS = (8, 8, 5)
@@ -136,7 +136,7 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
             else:
                 digests.append(geometry_digest(solids))
             numbers.append(number)
-        except BrokenError as error:
+        except CorruptFileError as error:
             page.fault(str(error))
     # joined to one value: there may be millions of worlds
     page.kept.append((worlds.task.number, b"".join(digests), np.array(numbers, np.int32)))
@@ -202,7 +202,7 @@ def _compare(contract: Manifest, page: Page) -> None:
         for entry in (contract.shards[number],)
     }
     named_pairs = [(places[a], places[b]) for a, b in pairs]
-    with raised_as(BrokenError, "comparing samples voxel by voxel ", of=GuardError):
+    with reraise_as(CorruptFileError, "comparing samples voxel by voxel ", of=GuardError):
         twins = guarded(
             _find_twins,
             (shards, named_pairs),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
-from scenegen.base.errors import BrokenError, raised_as
+from scenegen.base.errors import CorruptFileError, reraise_as
 from scenegen.base.reading import sha256_of
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
@@ -93,7 +93,7 @@ def _centred(sample: Sample, page: Page) -> None:
         limit = f"mapping.most_tilt_deg = {max_deg:g}" if max_deg else "0 degrees, without a tilt"
         is_upright = bool((upright >= math.cos(math.radians(max_deg)) - LEAN).all())
         page.expect(is_upright, f"{sample.where}: a body leans by more than {limit}")
-    with raised_as(BrokenError, f"{sample.where}: "):
+    with reraise_as(CorruptFileError, f"{sample.where}: "):
         # a centred map depends on the position only, which is valid even if the attitude is not
         expected = (
             grid.origin_at(fields["position"])
@@ -212,7 +212,7 @@ def _parts_again(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     if isinstance(world, Place):
-        raise BrokenError(
+        raise CorruptFileError(
             f"{sample.where}: has {' and '.join(contract.parts)}, and its world is a map, which "
             f"has none"
         )

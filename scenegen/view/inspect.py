@@ -14,7 +14,7 @@ from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, printable
 from scenegen.base.executors import Counted, unheard
-from scenegen.base.files import Json, write_whole
+from scenegen.base.files import Json, write_atomic
 from scenegen.base.mirrors import bytes_in
 from scenegen.base.workers import run
 from scenegen.dataset.collection import open_data
@@ -91,14 +91,14 @@ def inspect(
             tables[name][row] = measures
             on_done(1)
     if keep and tasks:
-        write_whole(
+        write_atomic(
             measures_file(dataset.datasets[0]),
             encode_measures(np.concatenate(list(tables.values()))),
         )
     about_splits = {split.name: _split_facts(split, tables[split.name]) for split in splits}
     if keep:
         content = json.dumps(about_splits, indent=1).encode()
-        write_whole(measures_file(dataset.datasets[0]).with_suffix(".json"), content)
+        write_atomic(measures_file(dataset.datasets[0]).with_suffix(".json"), content)
     size = sum(bytes_in(part.folder) for part in dataset.datasets)
     samples = sum(map(len, splits))
     return {

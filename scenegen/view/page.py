@@ -36,9 +36,9 @@ from scenegen.dataset.read import AnyDataset, Split
 from scenegen.view.canvas import ON_PAGE, path_colours
 from scenegen.view.look import MASKS, Guess, Guesses, Look, incomplete, look_into, title_of
 
-MOST_VOXELS = 1 << 22
+MAX_VOXELS = 1 << 22
 """Maximum voxels of a grid on a page: a browser needs seconds to make so many cubes."""
-MOST_BYTES = 48 << 20
+MAX_BYTES = 48 << 20
 """Maximum bytes of a page's samples; mail programs and phones refuse larger files."""
 HERE = files("scenegen.view")
 """Folder of the page's template and scripts."""
@@ -60,7 +60,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
         The content of the page, with a note if samples were left out for its size.
 
     Raises:
-        DatasetError: A grid has more than `MOST_VOXELS`.
+        DatasetError: A grid has more than `MAX_VOXELS`.
     """
     samples: list[Json] = []
     notes, size = list(notes), 0
@@ -68,7 +68,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
         check_grid(look.grid)
         sample = packed(look)
         size += len(json.dumps(sample))
-        if size > MOST_BYTES:
+        if size > MAX_BYTES:
             notes.append(
                 f"{len(looks) - len(samples)} samples are left out: the page would be too large"
             )
@@ -119,11 +119,11 @@ def check_grid(grid: GridSpec) -> None:
     """Check that a browser can show a grid.
 
     Raises:
-        DatasetError: It has more than `MOST_VOXELS`.
+        DatasetError: It has more than `MAX_VOXELS`.
     """
-    if (voxels := math.prod(grid.shape)) > MOST_VOXELS:
+    if (voxels := math.prod(grid.shape)) > MAX_VOXELS:
         raise DatasetError(
-            f"maps of {voxels} voxels; a page shows {MOST_VOXELS} at most; use scenegen render"
+            f"maps of {voxels} voxels; a page shows {MAX_VOXELS} at most; use scenegen render"
         )
 
 

@@ -11,7 +11,7 @@ painted and metal surfaces vary so much that theirs are round numbers between.""
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from scenegen.base.limits import MOST_CLASSES
+from scenegen.base.limits import MAX_CLASSES
 
 By: TypeAlias = Literal["class", "name", "material", "group"]
 """The attribute of a geom that decides its class."""
@@ -41,12 +41,12 @@ class Labels:
         valid = all(isinstance(name, str) and name.isprintable() for name in names)
         if (
             not valid
-            or not 0 < len(names) <= MOST_CLASSES
+            or not 0 < len(names) <= MAX_CLASSES
             or len(set(names)) < len(names)
             or names[0] != NOTHING
         ):
             raise ValueError(
-                f"classes: expected up to {MOST_CLASSES} different names, {NOTHING!r} first"
+                f"classes: expected up to {MAX_CLASSES} different names, {NOTHING!r} first"
             )
 
 

@@ -19,7 +19,7 @@ from lidarsim.pose import Pose, rotate
 from lidarsim.scan import are_returns
 from lidarsim.voxelization import clear
 from scenegen.base.errors import SceneError
-from scenegen.base.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
+from scenegen.base.limits import MAX_CLOUD_BYTES, MAX_PLACE_VOXELS
 from scenegen.worlds.clouds import Cloud, ReadReport, check_scan, read_cloud
 from scenegen.worlds.poses import has_camera, read_numbers, read_poses
 
@@ -37,15 +37,15 @@ FARTHEST_M = 1e12
 class Survey(Checked):
     """Parameters of how clouds are read and mapped."""
 
-    voxel_m: float = number(0.2, least=1e-3, most=1e3)
+    voxel_m: float = number(0.2, minimum=1e-3, maximum=1e3)
     """Edge of the map's voxels, metres; they lie at multiples of it, as OctoMap's do."""
-    unit_m: float = number(1.0, least=1e-6, most=1e3)
+    unit_m: float = number(1.0, minimum=1e-6, maximum=1e3)
     """The unit of the file's lengths, metres."""
     up: Literal["z", "y"] = "z"
     """The file's axis that points up. Where that is y, its z becomes the map's -y."""
-    least_m: float = number(MIN_RETURN_M, least=0, most=100)
+    least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
     """Points nearer than this to the sensor that saw them are no returns, metres."""
-    height_m: float = number(3.0, above=0, most=1e3)
+    height_m: float = number(3.0, above=0, maximum=1e3)
     """How high the walls of a plan are, metres: see `scenegen.worlds.plan`."""
     assume_free: bool = False
     """Whether a voxel without a point is free that lies above the lowest one with a point in its
@@ -106,7 +106,7 @@ def map_clouds(
 
     @functools.lru_cache(maxsize=1)
     def read(index: int) -> _Returns:
-        cloud = read_cloud(files[index], MOST_CLOUD_BYTES, columns=columns)
+        cloud = read_cloud(files[index], MAX_CLOUD_BYTES, columns=columns)
         name = str(files[index])
         return _returns(cloud, placements[index], survey, name, is_boxed=box is not None)
 
@@ -250,10 +250,10 @@ def _empty_map(
     origin -= np.where(origin > low, voxel_m, 0.0)  # by rounding
     shape = np.floor((high - origin) / voxel_m) + 1.0
     # False for infinite and NaN products, too
-    if not shape.prod() <= MOST_PLACE_VOXELS:
+    if not shape.prod() <= MAX_PLACE_VOXELS:
         raise SceneError(
             f"{where}: {' × '.join(f'{edge:.6g}' for edge in shape)} voxels of {voxel_m:g} m, "
-            f"expected {MOST_PLACE_VOXELS} at most; give a larger --voxel, or a --box that leaves "
+            f"expected {MAX_PLACE_VOXELS} at most; give a larger --voxel, or a --box that leaves "
             "far points out"
         )
     return np.zeros(shape.astype(int), np.uint8), origin

@@ -195,8 +195,8 @@ class Drawing:
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
-        """Write the document, UTF-8. Raises ValueError if MuJoCo refuses the world, and BrokenError
-        if readers of the archive would."""
+        """Write the document, UTF-8. Raises ValueError if MuJoCo refuses the world, and
+        CorruptFileError if readers of the archive would."""
         if self._spec is None and len(self._solids) <= MAX_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:

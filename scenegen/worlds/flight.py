@@ -14,16 +14,16 @@ from ompl import util as ou
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Vector
-from lidarsim.parameters import MOST_LENGTH_M, check, number
-from scenegen.base.errors import GenerationError, whole_number
+from lidarsim.parameters import MAX_LENGTH_M, check, number
+from scenegen.base.errors import GenerationError, check_int
 from scenegen.base.limits import (
-    LEAST_DRAWN_M,
-    MOST_CANDIDATES,
-    MOST_DRAWN_M,
-    MOST_FLIGHTS,
-    MOST_ITERATIONS,
-    MOST_SEED,
-    MOST_VIEWPOINTS,
+    MAX_CANDIDATES,
+    MAX_DRAWN_M,
+    MAX_FLIGHTS,
+    MAX_ITERATIONS,
+    MAX_SEED,
+    MAX_VIEWPOINTS,
+    MIN_DRAWN_M,
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
@@ -44,27 +44,27 @@ class Flight:
     robot_radius_m: float = number(0.3, above=0, below=CAP_M)
     """Clearance that every point of a flight keeps, metres."""
     altitude_m: tuple[float, float] = number(
-        (1.5, 5.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M, rising=True
+        (1.5, 5.0), minimum=-MAX_DRAWN_M, maximum=MAX_DRAWN_M, rising=True
     )
     """Heights between which flights keep, metres; a world from an MJCF file brings its own
     bounds."""
-    margin_m: float = number(8.0, least=0, most=MOST_DRAWN_M)
+    margin_m: float = number(8.0, minimum=0, maximum=MAX_DRAWN_M)
     """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie
     in the world."""
-    min_distance_m: float = number(10.0, least=0, most=MOST_LENGTH_M)
+    min_distance_m: float = number(10.0, minimum=0, maximum=MAX_LENGTH_M)
     """Least distance between start and goal, metres; a third of the flight bounds' diagonal where
     that is less."""
-    viewpoints: int = number(5, least=1, most=MOST_VIEWPOINTS)
+    viewpoints: int = number(5, minimum=1, maximum=MAX_VIEWPOINTS)
     """Samples a flight gives."""
-    spacing_m: float = number(1.0, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
+    spacing_m: float = number(1.0, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
     """Least distance between two viewpoints of a flight, metres."""
-    iterations: int = number(2000, least=1, most=MOST_ITERATIONS)
+    iterations: int = number(2000, minimum=1, maximum=MAX_ITERATIONS)
     """Iterations after which RRT gives up."""
-    step_m: float = number(3.0, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
+    step_m: float = number(3.0, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
     """Longest edge of the RRT, metres."""
-    goal_tolerance_m: float = number(0.5, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
+    goal_tolerance_m: float = number(0.5, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
     """How near to its goal a flight must end, metres."""
-    flights_per_world: int = number(3, least=1, most=MOST_FLIGHTS)
+    flights_per_world: int = number(3, minimum=1, maximum=MAX_FLIGHTS)
     """Flights tried in one drawn world before it is rejected."""
 
     def __post_init__(self) -> None:
@@ -263,7 +263,7 @@ class Route:
         pull = acceleration(
             *self.turns, flown_m, speed_mps=mapping.tilt_mps, settle_s=mapping.settle_s
         )
-        return leaning(level, pull, most_deg=mapping.most_tilt_deg)
+        return leaning(level, pull, max_deg=mapping.most_tilt_deg)
 
     def before(self, flown_m: float, mapping: Mapper) -> list[Pose]:
         """Compute the poses of a viewpoint's earlier scans.
@@ -291,13 +291,13 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route
         The route, and the metres flown along it to each, (m,), in random order.
 
     Raises:
-        GenerationError: If there would be more than `MOST_CANDIDATES`.
+        GenerationError: If there would be more than `MAX_CANDIDATES`.
     """
     route = Route(path)
     length = route.ends[-1]
-    if length > MOST_CANDIDATES * spacing_m:
+    if length > MAX_CANDIDATES * spacing_m:
         raise GenerationError(
-            f"flight.spacing_m = {spacing_m}: more than {MOST_CANDIDATES} places to scan from on a "
+            f"flight.spacing_m = {spacing_m}: more than {MAX_CANDIDATES} places to scan from on a "
             f"flight of {length:.0f} m; raise it"
         )
     # a random phase: else the first viewpoint would always be the start
@@ -343,7 +343,7 @@ def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
 
 
 def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
-    rng = np.random.default_rng(whole_number("flight: seed =", seed, 0, MOST_SEED))
+    rng = np.random.default_rng(check_int("flight: seed =", seed, 0, MAX_SEED))
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
         if path is not None and (drawn := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
@@ -381,13 +381,13 @@ def acceleration(
     return x, y, z
 
 
-def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
+def leaning(pose: Pose, pull: Vector, *, max_deg: float) -> Pose:
     """Tilt a body as a quadrotor's thrust demands, the shortest way, so that its heading stays.
 
     Args:
         pose: The level pose.
         pull: Acceleration, metres a second squared, in the world.
-        most_deg: The greatest tilt, degrees.
+        max_deg: The greatest tilt, degrees.
 
     Returns:
         The tilted pose.
@@ -398,7 +398,7 @@ def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
     # the acceleration in the body's level frame
     forward, left = cosine * pull[0] + sine * pull[1], cosine * pull[1] - sine * pull[0]
     sideways = math.sqrt(forward * forward + left * left)
-    max_sine, max_cosine = (float(value) for value in sin_cos(math.radians(most_deg)))
+    max_sine, max_cosine = (float(value) for value in sin_cos(math.radians(max_deg)))
     # the tilt's tangent is sideways / up, here without a division
     if sideways * max_cosine > up * max_sine:
         share = up * max_sine / (max_cosine * sideways)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Floats, Ints
-from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.base.errors import BrokenError, short
+from lidarsim.parameters import MAX_TRIANGLES, short_repr
+from scenegen.base.errors import CorruptFileError
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_GEOMS
+from scenegen.base.limits import MAX_GEOMS
 
 QUANTIZED = "KHR_mesh_quantization"
 """Positions as integers. Accessors of integers are read anyway."""
@@ -95,7 +95,7 @@ class Gltf:
             number, parent = waiting.pop()
             # a loop would never end, and shared children multiply
             if number in seen:
-                raise BrokenError(f"node {number} has two parents; export it again")
+                raise CorruptFileError(f"node {number} has two parents; export it again")
             seen.add(number)
             node = nodes[number]
             if "matrix" in node:
@@ -114,23 +114,27 @@ class Gltf:
         if extension is None:
             return np.eye(4)[None]
         attributes = extension["attributes"]
-        if max(self._count(name) for name in attributes.values()) > MOST_GEOMS:
-            raise BrokenError(f"has more than {MOST_GEOMS} instances of a mesh; simplify it")
+        if max(self._count(name) for name in attributes.values()) > MAX_GEOMS:
+            raise CorruptFileError(f"has more than {MAX_GEOMS} instances of a mesh; simplify it")
         names = (attributes.get(name) for name in ("TRANSLATION", "ROTATION", "SCALE"))
         return _matrices(*(None if name is None else self.numbers(name) for name in names))
 
     def _count(self, number: int) -> int:
-        """Return the number of an accessor's elements. Raises BrokenError if it exceeds the
+        """Return the number of an accessor's elements. Raises CorruptFileError if it exceeds the
         limit."""
         count: int = self.document["accessors"][number]["count"]
-        if not 0 <= count <= 3 * MOST_TRIANGLES:
-            raise BrokenError(f"accessor {number} has {short(count)} elements; simplify the file")
+        if not 0 <= count <= 3 * MAX_TRIANGLES:
+            raise CorruptFileError(
+                f"accessor {number} has {short_repr(count)} elements; simplify the file"
+            )
         return count
 
     def _faces(self, primitive: Json, corners: int) -> Ints:
         """Read triangles of a primitive (m, 3), as numbers of its corners."""
         if primitive.get("mode", TRIANGLES) != TRIANGLES:
-            raise BrokenError("has strips or fans of triangles; export it with separate triangles")
+            raise CorruptFileError(
+                "has strips or fans of triangles; export it with separate triangles"
+            )
         if "indices" not in primitive:
             return np.arange(corners).reshape(-1, 3)
         return self.numbers(primitive["indices"]).astype(np.int64).reshape(-1, 3)
@@ -146,13 +150,13 @@ class Gltf:
             other integers as they are.
 
         Raises:
-            BrokenError: If it is sparse, has no data, or lies in another file.
+            CorruptFileError: If it is sparse, has no data, or lies in another file.
         """
         accessor = self.document["accessors"][number]
         kind = np.dtype(COMPONENTS[accessor["componentType"]])
         shape = self._count(number), WIDTHS[accessor["type"]]
         if "bufferView" not in accessor or "sparse" in accessor:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"accessor {number} is sparse or has no data, which is not read; export it again"
             )
         view = self.document["bufferViews"][accessor["bufferView"]]
@@ -167,13 +171,13 @@ class Gltf:
         return values.astype(float)
 
     def _buffer(self, number: int) -> bytes:
-        """Return the content of a buffer. Raises BrokenError for one in another file."""
+        """Return the content of a buffer. Raises CorruptFileError for one in another file."""
         buffer = self.document["buffers"][number]
         uri = buffer.get("uri")
         if uri is None and number == 0:
             return self.binary
-        location = "nowhere" if uri is None else f"in another file, {short(uri)}"
-        raise BrokenError(f"has numbers {location}; export it as one .glb")
+        location = "nowhere" if uri is None else f"in another file, {short_repr(uri)}"
+        raise CorruptFileError(f"has numbers {location}; export it as one .glb")
 
 
 def read_gltf(content: bytes) -> Gltf:
@@ -186,16 +190,19 @@ def read_gltf(content: bytes) -> Gltf:
         Document and binary chunk.
 
     Raises:
-        BrokenError: If it is not glTF 2.0, is cut off, or requires an extension that is not read.
+        CorruptFileError: If it is not glTF 2.0, is cut off, or requires an extension that is
+            not read.
     """
     if len(content) < 20 or content[:4] != b"glTF" or content[16:20] != b"JSON":
-        raise BrokenError("does not begin as a binary glTF file does; export it as .glb")
+        raise CorruptFileError("does not begin as a binary glTF file does; export it as .glb")
     version, length, size = struct.unpack_from("<III", content, 4)
     if version != 2:
-        raise BrokenError(f"is glTF {version}; expected glTF 2.0")
+        raise CorruptFileError(f"is glTF {version}; expected glTF 2.0")
     # bytes behind the file's own length are ignored
     if len(content) < length or length < 20 + size:
-        raise BrokenError(f"has {len(content)} of {max(length, 20 + size)} bytes; copy it again")
+        raise CorruptFileError(
+            f"has {len(content)} of {max(length, 20 + size)} bytes; copy it again"
+        )
     document, offset, binary = json.loads(content[20 : 20 + size]), 20 + size, b""
     # chunks of other types are skipped, as the specification demands
     while offset + 8 <= length:
@@ -206,13 +213,14 @@ def read_gltf(content: bytes) -> Gltf:
         offset += 8 + size
     for name in document.get("extensionsRequired", ()):
         if name in COMPRESSED:
-            raise BrokenError(
+            raise CorruptFileError(
                 f"is packed by the glTF extension {name}; unpack it, for example with "
                 "`npx @gltf-transform/cli copy IN.glb OUT.glb`"
             )
         if not _is_read(name):
-            raise BrokenError(
-                f"requires the glTF extension {short(name)}, which is not read; export it without"
+            raise CorruptFileError(
+                f"requires the glTF extension {short_repr(name)}, which is not read; export it "
+                "without"
             )
     return Gltf(document, binary)
 

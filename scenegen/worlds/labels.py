@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.grid import Mask
 from lidarsim.jit import kernel
+from lidarsim.parameters import short_repr
 from lidarsim.pose import rotate
 from lidarsim.solids import Solids, local
-from scenegen.base.errors import GenerationError, RecipeError, short
-from scenegen.base.limits import MOST_CLASSES
+from scenegen.base.errors import GenerationError, RecipeError
+from scenegen.base.limits import MAX_CLASSES
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
@@ -44,7 +45,8 @@ def classes_of(world: World, labels: Labels) -> NDArray[np.uint16]:
     for geom, name in enumerate(named):
         if name not in place:
             raise GenerationError(
-                f"geom {short(world.model.geom(geom).name)} is of class {short(name)}, which "
+                f"geom {short_repr(world.model.geom(geom).name)} is of class "
+                f"{short_repr(name)}, which "
                 "was not known before; name it in the kind's `classes`, or give --labels group"
             )
     return np.array([place[name] for name in named], np.uint16)
@@ -95,9 +97,9 @@ def labels_by(by: By, named: Iterable[str]) -> Labels:
     fixed = {"group": GROUPS, "class": CLASSES}
     # sorted, so that numbers do not depend on the order of worlds
     known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
-    if len(known) >= MOST_CLASSES:
+    if len(known) >= MAX_CLASSES:
         raise GenerationError(
-            f"{len(known)} classes by name, expected {MOST_CLASSES} at most; give --labels group"
+            f"{len(known)} classes by name, expected {MAX_CLASSES} at most; give --labels group"
         )
     return Labels(by=by, classes=(NOTHING, *known))
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidarsim.fusion import Fusion
-from lidarsim.parameters import MOST_LENGTH_M, Checked, number
-from scenegen.base.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
+from lidarsim.parameters import MAX_LENGTH_M, Checked, number
+from scenegen.base.limits import MAX_DRAWN_M, MAX_SCANS, MIN_DRAWN_M
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
     from lidarsim import GridSpec, Pose, Sensor
@@ -17,11 +17,11 @@ if TYPE_CHECKING:  # commands take their options from here, and none of these
 class Known(Checked):
     """A recipe's [known]: how much of a map of a real place must be known where a sensor scans."""
 
-    most_unknown_m: float = number(0.6, least=0, most=MOST_LENGTH_M)
+    most_unknown_m: float = number(0.6, minimum=0, maximum=MAX_LENGTH_M)
     """A ray that crosses more metres of unknown space than this is not in `ray_known`."""
-    most_marked_share: float = number(0.35, least=0, most=1)
+    most_marked_share: float = number(0.35, minimum=0, maximum=1)
     """A viewpoint is rejected when a larger share of its rays is marked."""
-    least_share: float = number(0.05, least=0, most=1)
+    least_share: float = number(0.05, minimum=0, maximum=1)
     """A viewpoint is rejected when a smaller share of its map's voxels is known."""
 
 
@@ -29,21 +29,21 @@ class Known(Checked):
 class Mapper(Fusion):
     """A recipe's [mapping]. By default, a map is what one scan shows around a level sensor."""
 
-    scans: int = number(1, least=1, most=MOST_SCANS)
+    scans: int = number(1, minimum=1, maximum=MAX_SCANS)
     """Scans that make a map: the sample's own, and those before it on the flight."""
-    scan_spacing_m: float = number(0.5, least=LEAST_DRAWN_M, most=MOST_LENGTH_M)
+    scan_spacing_m: float = number(0.5, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
     """Metres flown from scan to scan; what would lie before the flight's begin is scanned from
     there."""
-    tilt_mps: float = number(0.0, least=0, most=100)
+    tilt_mps: float = number(0.0, minimum=0, maximum=100)
     """Speed of the flight, metres a second, whose accelerations tilt the body as a quadrotor's; 0
     for a level body."""
-    settle_s: float = number(0.5, least=0.01, most=100)
+    settle_s: float = number(0.5, minimum=0.01, maximum=100)
     """Seconds before and after a corner over which the flight changes its velocity, where it
     tilts."""
-    most_tilt_deg: float = number(30.0, above=0, most=80)
+    most_tilt_deg: float = number(30.0, above=0, maximum=80)
     """The most that the body tilts, degrees."""
     map_ahead_m: tuple[float, float, float] = number(
-        (0.0, 0.0, 0.0), least=-MOST_DRAWN_M, most=MOST_DRAWN_M
+        (0.0, 0.0, 0.0), minimum=-MAX_DRAWN_M, maximum=MAX_DRAWN_M
     )
     """Where the map's middle lies from the sensor: forward along its heading, to its left, and up,
     metres."""
@@ -100,14 +100,14 @@ class Mapper(Fusion):
             [x + (cosine * forward - sine * left), y + (sine * forward + cosine * left), above + up]
         )
 
-    def check_reach(self, grid: "GridSpec", max_range_m: float, rays: int, most_rays: int) -> None:
+    def check_reach(self, grid: "GridSpec", max_range_m: float, rays: int, max_rays: int) -> None:
         """Check that rays reach the map, and that a sample's scans are not too large.
 
         Args:
             grid: The map's grid.
             max_range_m: The sensor's range, metres.
             rays: Rays of one scan.
-            most_rays: The limit for all scans of a sample.
+            max_rays: The limit for all scans of a sample.
 
         Raises:
             ValueError: If no ray reaches the map, or the scans exceed the limit.
@@ -119,10 +119,10 @@ class Mapper(Fusion):
                     f"[mapping] map_ahead_m = {list(self.map_ahead_m)}: lies beyond the sensor's "
                     f"range of {max_range_m:g} m; expected a map that rays reach"
                 )
-        if self.scans * rays > most_rays:
+        if self.scans * rays > max_rays:
             raise ValueError(
                 f"[mapping] scans = {self.scans}: of {rays} rays each; expected "
-                f"{math.floor(most_rays / rays)} at most"
+                f"{math.floor(max_rays / rays)} at most"
             )
 
 

@@ -20,9 +20,9 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
-from lidarsim.sensors.table import MOST_HEADER_BYTES
+from lidarsim.sensors.table import MAX_NPY_HEADER_BYTES
 from scenegen.base.errors import SceneError, printable
-from scenegen.base.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.base.limits import MAX_ASSET_BYTES, MAX_PLACE_VOXELS
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import Clearance
@@ -84,10 +84,10 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     shape = bounds[1] - bounds[0]
     if not (shape > 0).all():
         raise SceneError(f"{name}: an empty map; nothing in it is known")
-    if (count := int(shape.prod())) > MOST_PLACE_VOXELS:
+    if (count := int(shape.prod())) > MAX_PLACE_VOXELS:
         raise SceneError(
             f"{name}: {' × '.join(map(str, shape))} voxels, {count} in all, expected "
-            f"{MOST_PLACE_VOXELS} at most; cut the map, or make it coarser"
+            f"{MAX_PLACE_VOXELS} at most; cut the map, or make it coarser"
         )
     states = np.zeros(shape, np.uint8)
     _fill(data, is_binary, bounds, states)
@@ -293,7 +293,7 @@ def read_place(path: str | Path) -> Place:
         SceneError: If the file holds no map, or one without free space.
     """
     path = Path(path)
-    return place_of(read_bounded(path, MOST_ASSET_BYTES), path.suffix, str(path))
+    return place_of(read_bounded(path, MAX_ASSET_BYTES), path.suffix, str(path))
 
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
@@ -380,7 +380,7 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
         SceneError: If it is not such a file.
     """
     try:
-        arrays = read_npz(content, *PARTS, max_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
+        arrays = read_npz(content, *PARTS, max_bytes=MAX_PLACE_VOXELS + MAX_NPY_HEADER_BYTES)
     except Exception as error:  # errors of zipfile and zlib, and any that a crafted file may raise
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
@@ -417,9 +417,9 @@ def encode_map(voxels: VoxelMap, where: str, **extra: NDArray[Any]) -> bytes:
     """
     arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
     content = encode_npz(arrays | extra, level=6)
-    if len(content) > MOST_ASSET_BYTES:
+    if len(content) > MAX_ASSET_BYTES:
         raise SceneError(
-            f"{where}: its map takes {len(content)} bytes, expected {MOST_ASSET_BYTES} at most; "
+            f"{where}: its map takes {len(content)} bytes, expected {MAX_ASSET_BYTES} at most; "
             "give a larger --voxel"
         )
     return content

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from scenegen.base.errors import SceneError, raised_as, short
-from scenegen.base.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import SceneError, reraise_as
+from scenegen.base.limits import MAX_ASSET_BYTES, MAX_CELLS, MAX_PLACE_VOXELS, MAX_RECIPE_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import CloudMap, Survey
 from scenegen.worlds.place import box_of, check_voxel
@@ -48,13 +49,13 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
         SceneError: If the file is not such a map, it is turned, or too large at that height.
         DatasetError: If a file cannot be read.
     """
-    text = read_bounded(path, MOST_RECIPE_BYTES).decode("latin-1")
+    text = read_bounded(path, MAX_RECIPE_BYTES).decode("latin-1")
     header = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
     expected = (
         ": expected a map of ROS, with image, resolution, origin [x, y, yaw], negate, "
         "occupied_thresh and free_thresh"
     )
-    with raised_as(SceneError, f"{path}: ", expected, of=(KeyError, ValueError)):
+    with reraise_as(SceneError, f"{path}: ", expected, of=(KeyError, ValueError)):
         negate = FLAGS[header["negate"].lower()]
         voxel_m, free, occupied = (
             float(header[name]) for name in ("resolution", "free_thresh", "occupied_thresh")
@@ -68,7 +69,9 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
             "finite metres, a yaw of 0 (turn the picture), and free_thresh below occupied_thresh"
         )
     if header.get("mode", "trinary") != "trinary":
-        raise SceneError(f"{path}: mode {short(header['mode'])}, expected trinary; save it as such")
+        raise SceneError(
+            f"{path}: mode {short_repr(header['mode'])}, expected trinary; save it as such"
+        )
     # occupancy by shade: black is occupied unless negated
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
@@ -84,10 +87,10 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
         raise SceneError(f"{path}: an empty map; nothing in it is known")
     plan = plan[row:end, column:last]
     layers = math.ceil(height_m / voxel_m) + 1
-    if plan.size * layers > MOST_PLACE_VOXELS:
+    if plan.size * layers > MAX_PLACE_VOXELS:
         raise SceneError(
             f"{path}: {' × '.join(map(str, plan.shape))} cells in {layers} layers, expected "
-            f"{MOST_PLACE_VOXELS} voxels at most; cut the picture, or give map a lower --height"
+            f"{MAX_PLACE_VOXELS} voxels at most; cut the picture, or give map a lower --height"
         )
     columns_up = np.repeat(plan[:, :, None], layers, axis=2)
     columns_up[plan != UNKNOWN, 0] = OCCUPIED
@@ -108,15 +111,15 @@ def _shades(path: Path) -> NDArray[np.uint8]:
 
     expected = (
         ": expected a grey picture of 8 bits, .pgm or .png, without alpha, of "
-        f"{MOST_CELLS} cells at most"
+        f"{MAX_CELLS} cells at most"
     )
     # Pillow's errors, and any that a crafted file raises
-    with raised_as(SceneError, f"{path}: ", expected, of=Exception):
-        content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
+    with reraise_as(SceneError, f"{path}: ", expected, of=Exception):
+        content = io.BytesIO(read_bounded(path, MAX_ASSET_BYTES))
         with (
             warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning),
             Image.open(content, formats=("PNG", "PPM")) as picture,
         ):
-            if picture.mode not in ("1", "L", "RGB") or math.prod(picture.size) > MOST_CELLS:
+            if picture.mode not in ("1", "L", "RGB") or math.prod(picture.size) > MAX_CELLS:
                 raise ValueError(f"{picture.mode}, {picture.size}")
             return np.asarray(picture.convert("L"))

@@ -11,9 +11,10 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
+from lidarsim.parameters import short_repr
 from lidarsim.pose import rotate, unit
-from scenegen.base.errors import DatasetError, raised_as, short
-from scenegen.base.limits import MOST_ASSET_BYTES, MOST_HEADER_BYTES
+from scenegen.base.errors import DatasetError, reraise_as
+from scenegen.base.limits import MAX_ASSET_BYTES, MAX_HEADER_BYTES
 from scenegen.base.reading import read_bounded
 
 BEYOND_S = 0.1
@@ -141,7 +142,7 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
         raise DatasetError(f"{path}: row {n}: expected a time above the one before")
     if not names:
         _check_order(table[:, 4:], path)
-    with raised_as(DatasetError):
+    with reraise_as(DatasetError):
         poses = poses_of(table[:, 1:], str(path))
     if not timed:
         return Track(np.full(len(rows), np.nan), poses)
@@ -280,7 +281,7 @@ def _check_finite(rows: Floats, path: Path) -> None:
 def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
     """Read a table as `read_numbers` does, with NaN for words in columns that have names; and the
     names in the last comment above the first row, if they are as many as its columns."""
-    text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
+    text = read_bounded(path, MAX_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):
         content, _, remark = line.partition("#")
@@ -296,7 +297,7 @@ def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
         width = len(names) or len((rows or [row])[0])
         if words and not (len(row) == width and (finite or names)):
             raise DatasetError(
-                f"{path}: line {number}: {short(line)}: expected {width} finite numbers"
+                f"{path}: line {number}: {short_repr(line)}: expected {width} finite numbers"
             )
         if row:
             rows.append(row)
@@ -355,11 +356,11 @@ def read_tr(calibration: Path) -> Floats | None:
     Raises:
         DatasetError: If the line does not have 12 numbers.
     """
-    text = read_bounded(calibration, MOST_HEADER_BYTES) if calibration.exists() else b""
+    text = read_bounded(calibration, MAX_HEADER_BYTES) if calibration.exists() else b""
     for line in text.decode("latin-1").splitlines():
         name, _, numbers = line.partition(":")
         if name.strip() == "Tr":
-            with raised_as(DatasetError, f"{calibration}: Tr: expected 12 numbers: "):
+            with reraise_as(DatasetError, f"{calibration}: Tr: expected 12 numbers: "):
                 return np.array(numbers.split(), float).reshape(12)
     return None
 

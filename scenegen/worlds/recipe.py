@@ -12,16 +12,16 @@ import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import Checked, number
-from scenegen.base.errors import RecipeError, printable, raised_as, short
+from lidarsim.parameters import Checked, number, short_repr
+from scenegen.base.errors import RecipeError, printable, reraise_as
 from scenegen.base.files import Json
 from scenegen.base.limits import (
-    MOST_CANDIDATES,
-    MOST_DRAWS,
-    MOST_RAYS_IN_SAMPLE,
-    MOST_SEARCHED,
-    MOST_VOXELS,
-    MOST_VOXELS_IN_FLIGHT,
+    MAX_CANDIDATES,
+    MAX_DRAWS,
+    MAX_RAYS_IN_SAMPLE,
+    MAX_SEARCHED,
+    MAX_VOXELS,
+    MAX_VOXELS_IN_FLIGHT,
 )
 from scenegen.worlds.flight import Flight
 from scenegen.worlds.kinds import find_kind
@@ -47,14 +47,14 @@ class Acceptance(Checked):
     Maps that are poorly seen stay: they are the task.
     """
 
-    min_solids: float = number(1.0, least=0)
+    min_solids: float = number(1.0, minimum=0)
     """A world is rejected when, averaged along its flight, fewer solids than this reach into the
     map."""
-    min_occupied_share: float = number(0.0005, least=0, most=1)
+    min_occupied_share: float = number(0.0005, minimum=0, maximum=1)
     """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
-    min_returned_share: float = number(0.01, least=0, most=1)
+    min_returned_share: float = number(0.01, minimum=0, maximum=1)
     """A viewpoint is rejected when a smaller share of its rays than this returns."""
-    max_draws: int = number(50, least=1, most=MOST_DRAWS)
+    max_draws: int = number(50, minimum=1, maximum=MAX_DRAWS)
     """Draws of one world after which generation gives up."""
 
 
@@ -112,17 +112,16 @@ class Recipe:
             )
         grid, flight = self.grid, self.flight
         voxels = math.prod(grid.shape)
-        if voxels > MOST_VOXELS:
+        if voxels > MAX_VOXELS:
             raise ValueError(
-                f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MOST_VOXELS} at "
-                f"most"
+                f"[grid] shape = {list(grid.shape)}: {voxels} voxels, expected {MAX_VOXELS} at most"
             )
         # each limit bounds a product: every factor is fine by itself
-        if voxels * flight.viewpoints > MOST_VOXELS_IN_FLIGHT:
+        if voxels * flight.viewpoints > MAX_VOXELS_IN_FLIGHT:
             raise ValueError(
                 f"[flight] viewpoints = {flight.viewpoints}: their maps are in memory together, "
                 f"expected "
-                f"{MOST_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
+                f"{MAX_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
             )
         if grid.voxel_m > self.lidar.max_range_m:
             raise ValueError(
@@ -130,23 +129,23 @@ class Recipe:
                 f"lidar.max_range_m = {self.lidar.max_range_m}"
             )
         self.mapping.check_reach(
-            grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE
+            grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MAX_RAYS_IN_SAMPLE
         )
-        if self.accept.max_draws * flight.flights_per_world * flight.iterations > MOST_SEARCHED:
+        if self.accept.max_draws * flight.flights_per_world * flight.iterations > MAX_SEARCHED:
             raise ValueError(
                 f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
                 f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, "
-                f"expected {MOST_SEARCHED} at most; lower one of them"
+                f"expected {MAX_SEARCHED} at most; lower one of them"
             )
         if self.world is not None:
             box = flight.bounds(self.world.size_m)
             # ten diagonals: a flight made of straight steps towards random points hardly ever takes
             # two
             candidates = 10 * float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / flight.spacing_m
-            if candidates > MOST_CANDIDATES:
+            if candidates > MAX_CANDIDATES:
                 raise ValueError(
                     f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan "
-                    f"from along one flight, expected {MOST_CANDIDATES} at most; raise it"
+                    f"from along one flight, expected {MAX_CANDIDATES} at most; raise it"
                 )
 
     @property
@@ -219,11 +218,12 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
         )
     if kind is not None and kind != named:
         raise RecipeError(
-            f"{where}: is a recipe for kind {short(named)}, not for {kind!r}; leave one of the "
+            f"{where}: is a recipe for kind {short_repr(named)}, not for {kind!r}; leave one "
+            "of the "
             f"two out"
         )
     if not isinstance(named, str):
-        raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
+        raise RecipeError(f'{where}: kind = {short_repr(named)}: expected a name, such as "pillar"')
     return make_recipe(named, tables, where=where, folder=path.parent, **given)
 
 
@@ -249,7 +249,7 @@ def _graded(kind: type[WorldKind], level: Any, prefix: str) -> Json:
     known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
         raise RecipeError(
-            f"{prefix}difficulty = {short(level)}: expected one of {', '.join(known)}"
+            f"{prefix}difficulty = {short_repr(level)}: expected one of {', '.join(known)}"
         )
     return known[level]
 
@@ -269,7 +269,8 @@ def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, prefix: s
     nearest = max(alike, key=lambda preset_level: alike[preset_level])
     if alike[level] < alike[nearest]:
         raise RecipeError(
-            f"{prefix}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of "
+            f"{prefix}difficulty = {short_repr(level)}: [world] has {alike[nearest]} of the "
+            "values of "
             f"the {nearest} preset and {alike[level]} of that one ({', '.join(names)}); "
             "leave one of the two out"
         )
@@ -316,7 +317,7 @@ def make_recipe(
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
-        with raised_as(RecipeError, prefix):
+        with reraise_as(RecipeError, prefix):
             world = find_kind(kind)
         kinds["world"] = world
         defaults = {"flight": world.flight_defaults, "accept": world.accept_defaults}
@@ -337,7 +338,7 @@ def make_recipe(
         check_name(name, tuple(sorted(kinds)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(
-                f"{prefix}{name} = {short(table)}: expected a table, [{name}], of parameters"
+                f"{prefix}{name} = {short_repr(table)}: expected a table, [{name}], of parameters"
             )
     # the user's values come last, and win
     values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
@@ -354,7 +355,7 @@ def make_recipe(
     noise = named_noise(parts["noise"].stages or None, sensor, prefix and f"{prefix}[noise]")
     parts |= {"lidar": sensor, "noise": noise}
     reason = f"{prefix}[world] of kind {kind}: a parameter cannot stand in a manifest: "
-    with raised_as(RecipeError, prefix), raised_as(RecipeError, reason, of=TypeError):
+    with reraise_as(RecipeError, prefix), reraise_as(RecipeError, reason, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **parts)
         # a user's own parameters may be of any type
         json.dumps(recipe.resolved())

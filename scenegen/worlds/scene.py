@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from lidarsim.grid import Floats, Ints
-from lidarsim.parameters import MOST_TRIANGLES
+from lidarsim.parameters import MAX_TRIANGLES
 from lidarsim.solids import HFIELD, MESH, PLANE, Solids, solids_of, visible_geoms
-from scenegen.base.errors import BrokenError, DatasetError, SceneError, printable, raised_as
-from scenegen.base.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
+from scenegen.base.errors import CorruptFileError, DatasetError, SceneError, printable, reraise_as
+from scenegen.base.limits import MAX_ASSET_BYTES, MAX_DOCUMENT_BYTES, MAX_GEOMS
 from scenegen.base.paths import CLOUDS, MAPS, MESHES, WORLD_FILES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import Survey, map_clouds
@@ -88,7 +88,7 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
         return Reading(path, error, includes)
 
 
-@raised_as(SceneError, of=DatasetError)
+@reraise_as(SceneError, of=DatasetError)
 def load_map(path: Path) -> Scene:
     """Read a map of a real place, or make one of a point cloud that says where its sensor was.
     Raises SceneError."""
@@ -131,16 +131,16 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
             raise SceneError(f"{path}: has numbers that are NaN; give them values")
         data = mujoco.MjData(drawn)
         mujoco.mj_kinematics(drawn, data)
-        with raised_as(SceneError, f"{path}: "):
+        with reraise_as(SceneError, f"{path}: "):
             expected = solids_of(drawn, data)
             mjcf, assets = flatten(drawn, data, materials=materials)  # names must be UTF-8
-    with raised_as(SceneError, of=BrokenError):  # readers of the dataset would refuse it
+    with reraise_as(SceneError, of=CorruptFileError):  # readers of the dataset would refuse it
         screen(mjcf, assets, str(path))
     largest = max(map(len, assets.values()), default=0)
-    if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
+    if len(mjcf) > MAX_DOCUMENT_BYTES or largest > MAX_ASSET_BYTES:
         raise SceneError(
             f"{path}: made self-contained, {len(mjcf)} bytes and files of up to {largest}, "
-            f"expected {MOST_DOCUMENT_BYTES} and {MOST_ASSET_BYTES} at most; use fewer geoms and "
+            f"expected {MAX_DOCUMENT_BYTES} and {MAX_ASSET_BYTES} at most; use fewer geoms and "
             "coarser meshes"
         )
     world = compile_world(mjcf, assets, name=str(path))
@@ -164,7 +164,7 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
     # MuJoCo calls a file of another type an MJCF file without a decoder
     hint = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
     end = hint * (path.suffix not in WORLD_FILES)
-    with raised_as(SceneError, f"{path}: {problem}: ", end, of=refused):
+    with reraise_as(SceneError, f"{path}: {problem}: ", end, of=refused):
         notes: list[str] = []
         spec = mesh_spec(path, notes) if is_mesh else mujoco.MjSpec.from_file(str(path))
         if spec.skins:
@@ -172,8 +172,8 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
                 f"skins ({len(spec.skins)}) are left out: they dress bodies, and rays do not see "
                 "them"
             )
-        if len(spec.geoms) > MOST_GEOMS:
-            raise SceneError(f"{path}: more than {MOST_GEOMS} geoms; merge some into meshes")
+        if len(spec.geoms) > MAX_GEOMS:
+            raise SceneError(f"{path}: more than {MAX_GEOMS} geoms; merge some into meshes")
         if spec.flexes:
             raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
         for material in spec.materials:
@@ -242,11 +242,11 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
         path = waiting.pop()
-        with raised_as(SceneError, of=DatasetError):
-            text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
+        with reraise_as(SceneError, of=DatasetError):
+            text = read_bounded(path, MAX_DOCUMENT_BYTES).decode(errors="replace")
         text = COMMENT.sub(" ", text)
-        if _repeats(text) > MOST_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
-            raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
+        if _repeats(text) > MAX_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
+            raise SceneError(f"{main}: more than {MAX_GEOMS} geoms; merge some into meshes")
         is_world &= not (path is main and PART in text)
         for _, name in INCLUDE.findall(text):
             # MuJoCo looks from the file that includes, or from the main one
@@ -279,11 +279,11 @@ Placed = Iterator[tuple[str, Floats, Ints]]
 
 def _objects(path: Path, notes: list[str]) -> Placed:
     """Read the objects of a mesh file, and note unread parts. Raises SceneError."""
-    with raised_as(SceneError, of=DatasetError):
-        content = read_bounded(path, MOST_ASSET_BYTES)
+    with reraise_as(SceneError, of=DatasetError):
+        content = read_bounded(path, MAX_ASSET_BYTES)
     # readers of damaged files raise anything, and numpy warns of numbers that are refused later
     with (
-        raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception),
+        reraise_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception),
         np.errstate(all="ignore"),
     ):
         yield from _gltf(content, notes) if path.suffix == ".glb" else _by_trimesh(path, content)
@@ -293,7 +293,9 @@ def _gltf(content: bytes, notes: list[str]) -> Placed:
     """Read the objects of a .glb; see `_objects`."""
     # a damaged file may break any look-up in its JSON
     message = "its parts do not fit together: ", "; export it again"
-    with raised_as(BrokenError, *message, of=(LookupError, TypeError, ValueError, AttributeError)):
+    with reraise_as(
+        CorruptFileError, *message, of=(LookupError, TypeError, ValueError, AttributeError)
+    ):
         file = read_gltf(content)
         notes += file.notes()
         for name, corners, faces in file.objects():
@@ -338,9 +340,9 @@ def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
         if not len(faces):
             continue
         triangles += len(faces)
-        if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
+        if triangles > MAX_TRIANGLES or len(spec.geoms) >= MAX_GEOMS:
             raise SceneError(
-                f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
+                f"{path}: more than {MAX_TRIANGLES} triangles or {MAX_GEOMS} objects; simplify it"
             )
         complete = faces.min() >= 0 and faces.max() < len(corners)
         if not complete or not np.isfinite(corners).all():

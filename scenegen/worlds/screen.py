@@ -8,17 +8,17 @@ import struct
 from collections.abc import Mapping
 from xml.parsers import expat
 
-from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.base.errors import BrokenError, short
+from lidarsim.parameters import MAX_LENGTH_M, short_repr
+from scenegen.base.errors import CorruptFileError
 from scenegen.base.limits import (
-    MOST_ASKED,
-    MOST_ATTRIBUTES,
-    MOST_BUILTIN,
-    MOST_CELLS,
-    MOST_DEPTH,
-    MOST_ELEMENTS,
-    MOST_GEOMS,
-    MOST_OTHERS,
+    MAX_ASKED,
+    MAX_ATTRIBUTES,
+    MAX_BUILTIN,
+    MAX_CELLS,
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    MAX_GEOMS,
+    MAX_OTHERS,
 )
 
 FORBIDDEN = {
@@ -41,7 +41,7 @@ FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "fr
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
 LOOKS = {"name", "rgba", "material"}
 """Attributes that do not place a solid; a world's outline omits them."""
-WATCHED = FILES | FOLDERS | {"builtin"} | set(MOST_ASKED)
+WATCHED = FILES | FOLDERS | {"builtin"} | set(MAX_ASKED)
 LENGTHS = {"pos", "size", "fromto", "scale", "refpos", "vertex", "elevation"}
 """Attributes that hold metres, or multiples of them."""
 TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler", "refquat", "params", "rgba"}
@@ -69,7 +69,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         same solids (`geometry_digest`).
 
     Raises:
-        BrokenError: If it is not plain, self-contained MJCF, or too large.
+        CorruptFileError: If it is not plain, self-contained MJCF, or too large.
     """
     geoms, other_elements, outline, within = 0, 0, list[str](), [""]
     suspect = SUSPECT.search(document.lower()) is not None
@@ -79,16 +79,18 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         geoms += tag == "geom"
         other_elements += tag not in SOLIDS
         if tag in FORBIDDEN:
-            raise BrokenError(f"{name}: has <{tag}>, expected a self-contained world of solids")
-        if len(within) > MOST_DEPTH or len(outline) >= MOST_ELEMENTS or geoms > MOST_GEOMS:
-            raise BrokenError(
-                f"{name}: more than {MOST_GEOMS} geoms, {MOST_ELEMENTS} elements or {MOST_DEPTH} "
+            raise CorruptFileError(
+                f"{name}: has <{tag}>, expected a self-contained world of solids"
+            )
+        if len(within) > MAX_DEPTH or len(outline) >= MAX_ELEMENTS or geoms > MAX_GEOMS:
+            raise CorruptFileError(
+                f"{name}: more than {MAX_GEOMS} geoms, {MAX_ELEMENTS} elements or {MAX_DEPTH} "
                 "levels of them"
             )
-        if other_elements > MOST_OTHERS or len(attributes) > MOST_ATTRIBUTES:
-            raise BrokenError(
-                f"{name}: more than {MOST_OTHERS} elements besides {', '.join(sorted(SOLIDS))}, or "
-                f"{MOST_ATTRIBUTES} attributes of one; put geoms straight into the worldbody"
+        if other_elements > MAX_OTHERS or len(attributes) > MAX_ATTRIBUTES:
+            raise CorruptFileError(
+                f"{name}: more than {MAX_OTHERS} elements besides {', '.join(sorted(SOLIDS))}, or "
+                f"{MAX_ATTRIBUTES} attributes of one; put geoms straight into the worldbody"
             )
         # most elements have none of these attributes: one set operation spares the look-ups
         if tag == "numeric" or not WATCHED.isdisjoint(attributes):
@@ -109,7 +111,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         within.pop()
 
     def _refuse(*_: object) -> None:
-        raise BrokenError(f"{name}: declares a document type or entities, expected plain MJCF")
+        raise CorruptFileError(f"{name}: declares a document type or entities, expected plain MJCF")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = _start, _end
@@ -118,43 +120,45 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
     try:
         parser.Parse(document, True)
     except (expat.ExpatError, ValueError) as error:
-        raise BrokenError(f"{name}: is not plain XML ({error})") from None
+        raise CorruptFileError(f"{name}: is not plain XML ({error})") from None
     return hashlib.sha256("\n".join(sorted(outline)).encode()).digest()
 
 
 def _check_attributes(
     tag: str, attributes: dict[str, str], assets: Mapping[str, bytes], name: str
 ) -> None:
-    """Check the files and amounts that an element asks for. Raises BrokenError, or ValueError for
-    words in place of numbers."""
+    """Check the files and amounts that an element asks for. Raises CorruptFileError, or ValueError
+    for words in place of numbers."""
     for key, value in attributes.items():
-        where = f"{name}: <{tag} {key}={short(value)}>"
+        where = f"{name}: <{tag} {key}={short_repr(value)}>"
         if key in FILES and value not in assets:
-            raise BrokenError(f"{where}: expected a file of the archive")
+            raise CorruptFileError(f"{where}: expected a file of the archive")
         if key in FOLDERS and value:
-            raise BrokenError(f"{where}: expected files beside the document")
+            raise CorruptFileError(f"{where}: expected files beside the document")
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
-        limit = 100_000 if (tag, key) == ("numeric", "size") else MOST_ASKED.get(key)
+        limit = 100_000 if (tag, key) == ("numeric", "size") else MAX_ASKED.get(key)
         if limit is not None and not -1 <= _amount(value) <= limit:
-            raise BrokenError(f"{where}: expected {limit} at most")
+            raise CorruptFileError(f"{where}: expected {limit} at most")
     for sides in (("width", "height"), ("nrow", "ncol")):
-        if math.prod(_amount(attributes.get(side, "0")) for side in sides) > MOST_CELLS:
-            raise BrokenError(f"{name}: <{tag}>: {' times '.join(sides)} is more than {MOST_CELLS}")
+        if math.prod(_amount(attributes.get(side, "0")) for side in sides) > MAX_CELLS:
+            raise CorruptFileError(
+                f"{name}: <{tag}>: {' times '.join(sides)} is more than {MAX_CELLS}"
+            )
     params = attributes.get("params", "") if "builtin" in attributes else ""
-    if not all(float(part) <= MOST_BUILTIN for part in params.split()):
-        raise BrokenError(
-            f"{name}: <{tag} params={short(params)}>: expected {MOST_BUILTIN} at most"
+    if not all(float(part) <= MAX_BUILTIN for part in params.split()):
+        raise CorruptFileError(
+            f"{name}: <{tag} params={short_repr(params)}>: expected {MAX_BUILTIN} at most"
         )
 
 
 def _check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
-    """Check that numbers that place, turn and size solids are finite. Raises BrokenError.
+    """Check that numbers that place, turn and size solids are finite. Raises CorruptFileError.
 
     MuJoCo takes a NaN for a number that is missing, so that solids would silently stand elsewhere.
     """
     for key in attributes.keys() & (LENGTHS | TURNS):
-        limit = MOST_LENGTH_M if key in LENGTHS else math.inf
+        limit = MAX_LENGTH_M if key in LENGTHS else math.inf
         for part in attributes[key].split():
             try:
                 number = float(part)
@@ -162,8 +166,9 @@ def _check_numbers(tag: str, attributes: Mapping[str, str], name: str) -> None:
                 continue
             if not (math.isfinite(number) and abs(number) <= limit):
                 expected = f"numbers up to {limit:g}" if math.isfinite(limit) else "finite numbers"
-                raise BrokenError(
-                    f"{name}: <{tag} {key}={short(attributes[key])}>: {short(part)}, expected "
+                raise CorruptFileError(
+                    f"{name}: <{tag} {key}={short_repr(attributes[key])}>: {short_repr(part)}, "
+                    "expected "
                     f"{expected}"
                 )
 
@@ -172,8 +177,8 @@ def _check_field(content: bytes, where: str) -> None:
     """Check a height field's file, which begins with its rows and columns: MuJoCo allocates by
     these."""
     rows, columns = struct.unpack("<ii", content[:8]) if len(content) >= 8 else (0, 0)
-    if not (0 < rows * columns <= MOST_CELLS and len(content) == 8 + 4 * rows * columns):
-        raise BrokenError(
+    if not (0 < rows * columns <= MAX_CELLS and len(content) == 8 + 4 * rows * columns):
+        raise CorruptFileError(
             f"{where}: {rows} rows and {columns} columns in {len(content)} bytes, expected a "
             "height field"
         )

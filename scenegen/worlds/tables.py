@@ -13,12 +13,12 @@ from numpy.random import Generator
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import FILE
+from lidarsim.parameters import FILE, short_repr
 from lidarsim.registry import suggestion
 from lidarsim.sensors import FAMILIES, RASTER, SENSORS
-from scenegen.base.errors import DatasetError, RecipeError, printable, raised_as, short
+from scenegen.base.errors import DatasetError, RecipeError, printable, reraise_as
 from scenegen.base.files import Json
-from scenegen.base.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
+from scenegen.base.limits import MAX_DEPTH, MAX_RECIPE_BYTES, MAX_SOURCES
 from scenegen.base.reading import read_bounded
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
@@ -44,13 +44,13 @@ def read_toml(path: Path) -> Json:
     """
     where = printable(path)
     try:
-        text = read_bounded(path, MOST_RECIPE_BYTES).decode()
+        text = read_bounded(path, MAX_RECIPE_BYTES).decode()
         lines = (
             _DECIMAL.sub("", line)
             for line in text.splitlines()
             if not line.lstrip().startswith("#")
         )
-        if any(line.count(".") > MOST_DEPTH for line in lines):
+        if any(line.count(".") > MAX_DEPTH for line in lines):
             # dotted keys: tomllib's time grows with the square of their depth, or worse
             raise RecursionError
         return tomllib.loads(text)
@@ -112,7 +112,9 @@ def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None
     """
     if name not in known:
         hint = suggestion(str(name), known)
-        raise RecipeError(f"{where}{': ' if where else ''}unknown {what} {short(name)}; {hint}")
+        raise RecipeError(
+            f"{where}{': ' if where else ''}unknown {what} {short_repr(name)}; {hint}"
+        )
 
 
 def named_lidar(word: str | Sensor) -> Sensor:
@@ -131,7 +133,7 @@ def named_lidar(word: str | Sensor) -> Sensor:
     if not isinstance(word, str):
         if not hasattr(word, "directions_body"):
             raise RecipeError(
-                f"lidar = {short(word)}: expected a sensor, the name of one, or a .toml file"
+                f"lidar = {short_repr(word)}: expected a sensor, the name of one, or a .toml file"
             )
         return word
     path = Path(word)
@@ -160,7 +162,7 @@ def named_noise(text: str | Noise | None, sensor: Sensor, where: str = "") -> No
     Raises:
         RecipeError: If the text names no chain.
     """
-    with raised_as(RecipeError, where and f"{where} "):
+    with reraise_as(RecipeError, where and f"{where} "):
         return Noise() if text is None else Noise.parse(text, sensor)
 
 
@@ -180,15 +182,16 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     """
     entries = dict(table)
     name = entries.pop("sensor", RASTER)
-    with raised_as(RecipeError, f"{where} "):
-        kind = SENSORS.find(name if isinstance(name, str) else short(name))
+    with reraise_as(RecipeError, f"{where} "):
+        kind = SENSORS.find(name if isinstance(name, str) else short_repr(name))
     if not dataclasses.is_dataclass(kind):
         raise RecipeError(
-            f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
+            f"{where} sensor = {short_repr(name)}: expected a dataclass, whose fields a recipe sets"
         )
     if isinstance(entries.get("name"), str) and entries["name"] in SENSORS.builtin:
         raise RecipeError(
-            f"{where} name = {short(entries['name'])}: is that of another; give your sensor a name "
+            f"{where} name = {short_repr(entries['name'])}: is that of another; give your "
+            "sensor a name "
             f'of its own, or take that one with sensor = "{entries["name"]}"'
         )
     # the default is a raster; name the families that have all these parameters
@@ -205,11 +208,11 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
             )
     sensor = from_table(kind, entries, where, folder)
     if isinstance(noise := getattr(sensor, "noise", None), str) and noise:
-        with raised_as(RecipeError, f"{where} "):
+        with reraise_as(RecipeError, f"{where} "):
             Noise.parse(noise)
     # tried now, so that faults of a user's own code show before any world is drawn
     if name not in SENSORS.builtin:
-        with raised_as(RecipeError):
+        with reraise_as(RecipeError):
             beam_table(sensor, where)
     return sensor
 
@@ -265,26 +268,26 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
     for (table, name), values in listed.items():
         if not isinstance(values, list) or not values:
             raise RecipeError(
-                f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values, or an "
+                f"{at}: domain.{table}.{name} = {short_repr(values)}: expected a list of "
+                "values, or an "
                 'interval, such as "0.01..0.05"'
             )
     if type(draws) is not int or (draws > 0) != bool(_INTERVAL.search(str(listed))):
         raise RecipeError(
-            f"{at}: domain.draws = {short(draws)}: expected how often to draw, such as 10, where a "
+            f"{at}: domain.draws = {short_repr(draws)}: expected how often to draw, such as "
+            "10, where a "
             "value has an interval, such as 0.01..0.05, and nothing elsewhere"
         )
     # `product` would make a tuple of the range, however long
-    times = range(min(max(draws, 1), MOST_SOURCES + 1))
+    times = range(min(max(draws, 1), MAX_SOURCES + 1))
     chosen = itertools.product(times, *listed.values())
     tables: list[dict[str, Json]] = []
-    for _, *chosen_values in itertools.islice(chosen, MOST_SOURCES + 1):
+    for _, *chosen_values in itertools.islice(chosen, MAX_SOURCES + 1):
         tables.append({})
         for (table, name), value in zip(listed, chosen_values, strict=True):
             tables[-1].setdefault(table, {})[name] = _drawn(value, rng)
-    if len(tables) > MOST_SOURCES:
-        raise RecipeError(
-            f"{at}: domain: more than {MOST_SOURCES} combinations; list or draw fewer"
-        )
+    if len(tables) > MAX_SOURCES:
+        raise RecipeError(f"{at}: domain: more than {MAX_SOURCES} combinations; list or draw fewer")
     return tables
 
 

@@ -16,9 +16,9 @@ from lidarsim import Engine, GridSpec, Pose, Scan, Sensor
 from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
-from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.parameters import MAX_LENGTH_M, short_repr
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids, solids_of, visible_geoms
-from scenegen.base.errors import SceneError, raised_as, short
+from scenegen.base.errors import SceneError, reraise_as
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
@@ -95,7 +95,7 @@ class World:
         """Return the caster that `engine` makes of this world, cached: flights through it share it.
         Raises SceneError if the engine refuses the world, or finds no device."""
         if engine not in self._casters:
-            with raised_as(SceneError):
+            with reraise_as(SceneError):
                 self._casters[engine] = engine(self.model, self.data)
         return self._casters[engine]
 
@@ -189,7 +189,7 @@ def compile_world(
     assets = dict(assets or {})
     with quiet_mujoco():
         refused = (ValueError, mujoco.FatalError)
-        with raised_as(SceneError, f"{name}: not valid MJCF: ", of=refused):
+        with reraise_as(SceneError, f"{name}: not valid MJCF: ", of=refused):
             model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
         seen = visible_geoms(model)
         unseen = tuple(model.geom(int(g)).name or f"number {g}" for g in np.flatnonzero(~seen))
@@ -201,7 +201,7 @@ def compile_world(
         mujoco.mj_kinematics(model, data)
         # MuJoCo's own rays need the bodies' bounding volumes, which this computes
         mujoco.mj_comPos(model, data)
-        with raised_as(SceneError, f"{name}: "):
+        with reraise_as(SceneError, f"{name}: "):
             solids = solids_of(model, data)
         return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
@@ -228,11 +228,12 @@ def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, float)
         # False for NaN, too
-        small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
+        small = data.size == 6 and (np.abs(data) <= MAX_LENGTH_M).all()
         if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(
-                f"{name}: <numeric {FLIGHT_BOUNDS}> = {short(data.tolist())}, expected xmin ymin "
-                f"zmin xmax ymax zmax, rising, up to {MOST_LENGTH_M:g}"
+                f"{name}: <numeric {FLIGHT_BOUNDS}> = {short_repr(data.tolist())}, expected "
+                "xmin ymin "
+                f"zmin xmax ymax zmax, rising, up to {MAX_LENGTH_M:g}"
             )
         return data.reshape(2, 3)
     bounded = np.isfinite(solids.lower).all(axis=1)

@@ -12,7 +12,7 @@ from scenegen.__main__ import app
 from tests.command_line import ROOT
 
 DOCS = ROOT / "docs"
-MOST_BYTES = 1_200_000
+MAX_BYTES = 1_200_000
 """Of the notebook, pictures included."""
 
 tutorial = SimpleNamespace(**runpy.run_path(str(DOCS / "tutorial.py")))
@@ -37,7 +37,7 @@ def test_every_picture_is_there_and_is_shown():
 def test_the_notebook_is_what_the_script_makes_of_the_page():
     held = tutorial.NOTEBOOK.read_text(encoding="utf-8")
     assert held == tutorial.written(PAGE), "run python docs/tutorial.py"
-    assert len(held.encode()) < MOST_BYTES
+    assert len(held.encode()) < MAX_BYTES
     cells = [cell for cell in json.loads(held)["cells"] if cell["cell_type"] == "code"]
     shell = [cell["source"][1:] for cell in cells if cell["source"][0] == tutorial.SHELL]
     said = [shlex.split(line) for lines in shell for line in lines]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pytest
 
-from lidarsim.parameters import Bounds, check, number, shown
+from lidarsim.parameters import Bounds, check, number, short_repr
 from scenegen.worlds.kinds.kind import bounds_by_name
 from tests.command_line import rows
 from tests.refusals import refuses
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    rows: int = number(16, least=1, most=1000)
+    rows: int = number(16, minimum=1, maximum=1000)
     range_m: float = number(10.0, above=0)
-    tilt_deg: float = number(0.0, least=-90, below=90)
-    shape: tuple[int, int, int] = number((8, 8, 4), least=1)
-    span_m: tuple[float, float] = number((1.0, 2.0), least=0, most=9, rising=True)
+    tilt_deg: float = number(0.0, minimum=-90, below=90)
+    shape: tuple[int, int, int] = number((8, 8, 4), minimum=1)
+    span_m: tuple[float, float] = number((1.0, 2.0), minimum=0, maximum=9, rising=True)
     edges_m: tuple[float, ...] = number((1.0,), above=0)
     even: float = number(2.0, whole=True)
     limit: float | None = number(None, above=0)
@@ -100,7 +100,7 @@ def test_a_value_is_shown_on_one_short_line():
     for _ in range(100_000):
         nested = [nested]
     for value in ("a\nb\x1b[2J" * 100, huge, nested, ["\u202e"]):
-        said = shown(value)
+        said = short_repr(value)
         assert said.isprintable()
         assert said.isascii()
         assert len(said) <= 60
@@ -110,7 +110,7 @@ def test_annotations_that_only_a_type_checker_can_resolve_leave_the_bounds():
     @dataclass(frozen=True)
     class Odd:
         thing: Unknown = None
-        rows: int = number(3, least=1)
+        rows: int = number(3, minimum=1)
 
     check(Odd())
     for value in (0, "many"):
@@ -121,10 +121,10 @@ def test_fields_without_bounds_have_those_of_their_name():
     @dataclass(frozen=True)
     class Kind:
         share: Any = 0.5
-        rows: Any = number(3, least=1)
+        rows: Any = number(3, minimum=1)
 
     def by_name(name, value):
-        return Bounds(least=0, most=1) if name == "share" else Bounds(most=0)
+        return Bounds(minimum=0, maximum=1) if name == "share" else Bounds(maximum=0)
 
     check(Kind(), by_name)
     refuses("share", check, Kind(share=1.5), by_name)
@@ -148,10 +148,10 @@ class Ranges:
     """As a kind of worlds checks its parameters: by name, where a field has no bounds."""
 
     plain_m: tuple[float, float] = (1.0, 2.0)
-    bounded_m: tuple[float, float] = number((1.0, 2.0), least=1.0)
-    bounded_count: tuple[int, int] | None = number((1, 2), least=1)
-    unresolved_m: Any = number((1.0, 2.0), least=1.0)
-    place_m: tuple[float, float] = number((1.0, 2.0), least=1.0, rising=False)
+    bounded_m: tuple[float, float] = number((1.0, 2.0), minimum=1.0)
+    bounded_count: tuple[int, int] | None = number((1, 2), minimum=1)
+    unresolved_m: Any = number((1.0, 2.0), minimum=1.0)
+    place_m: tuple[float, float] = number((1.0, 2.0), minimum=1.0, rising=False)
 
     def __post_init__(self):
         check(self, bounds_by_name)
@@ -161,7 +161,7 @@ class Ranges:
 def test_angles_in_radians_are_told_from_degrees(value):
     @dataclass(frozen=True, kw_only=True)
     class Held:
-        tilt_deg: float = number(0.0, least=-90, most=360)
+        tilt_deg: float = number(0.0, minimum=-90, maximum=360)
         length_m: float = number(1.0)
 
         def __post_init__(self):

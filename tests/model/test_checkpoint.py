@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lidarsim import GridSpec
-from scenegen.base.limits import MOST_HEADER_BYTES
+from scenegen.base.limits import MAX_HEADER_BYTES
 from scenegen.model.checkpoint import (
     CheckpointError,
     load_network,
@@ -108,7 +108,7 @@ def header(about):
 
 def test_files_that_hold_no_network_are_refused(saved, tmp_path):
     path, _ = saved
-    strange = header("[" * 100_000), header("[1, 2]"), header(" " * (MOST_HEADER_BYTES + 1))
+    strange = header("[" * 100_000), header("[1, 2]"), header(" " * (MAX_HEADER_BYTES + 1))
     promise = (1 << 60).to_bytes(8, "little") + b"{}"  # which is not read
     for n, content in enumerate((b"", path.read_bytes()[:-100], b"no network", promise, *strange)):
         path.write_bytes(content)

@@ -13,7 +13,7 @@ MEMORY_BYTES = 2 << 30
 """Address space that a case may take beyond the process it is forked from."""
 RESIDENT_BYTES = 1 << 30
 """Memory that it may fill."""
-MOST_CHARACTERS = 2000
+MAX_CHARACTERS = 2000
 """In an error's line."""
 
 
@@ -49,7 +49,7 @@ def _said_well(attempt, result):
     line = result.stderr.removesuffix("\n")
     if not line.startswith("scenegen: ") or not line.isprintable():
         return f"ended with {result.code} and not in one line: {result.stderr[:300]!r}"
-    if len(line) > MOST_CHARACTERS:
+    if len(line) > MAX_CHARACTERS:
         return f"ended in a line of {len(line)} characters: {line[:300]}…"
     if "out of memory" in line and not attempt.may_lack_memory:
         return "ran out of memory"

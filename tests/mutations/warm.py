@@ -24,7 +24,7 @@ from tests.mutations.case import Attempt, Result
 from tests.mutations.datasets import print_load
 from tests.mutations.verdict import MEMORY_BYTES, PROCESSOR_SECONDS, SECONDS, verdict
 
-MOST_WRITTEN_BYTES = 512 << 20
+MAX_WRITTEN_BYTES = 512 << 20
 """In one file, lest a case fill the disk."""
 
 
@@ -100,7 +100,7 @@ def _run(attempt, folder):
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_SECONDS, PROCESSOR_SECONDS + 5))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_WRITTEN_BYTES, MOST_WRITTEN_BYTES))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_WRITTEN_BYTES, MAX_WRITTEN_BYTES))
         code = _command(attempt.words)
         if code == 0 and attempt.after is not None:
             (folder / "after").write_text(json.dumps(attempt.after()))

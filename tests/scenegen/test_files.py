@@ -18,9 +18,9 @@ from scenegen.base.files import (
     draft_of,
     make_parent,
     real_path,
-    remove_drafts,
+    remove_temp_files,
     whole,
-    write_whole,
+    write_atomic,
 )
 from tests.scenegen import refuses
 from tests.scenegen.conftest import names
@@ -28,7 +28,7 @@ from tests.scenegen.conftest import names
 
 def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path):
     for content in (b"first", b"second"):
-        write_whole(tmp_path / "a", content)
+        write_atomic(tmp_path / "a", content)
         assert (tmp_path / "a").read_bytes() == content
     with whole(tmp_path / "b") as draft:
         draft.write_bytes(b"by name")
@@ -40,7 +40,7 @@ def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"second"
     assert names(tmp_path) == {"a", "b"}
     make_parent(tmp_path / "c" / "d" / "e")
-    write_whole(tmp_path / "c" / "d" / "e", b"")
+    write_atomic(tmp_path / "c" / "d" / "e", b"")
     refuses("choose another place", make_parent, tmp_path / "a" / "x" / "y")
 
 
@@ -57,7 +57,7 @@ def test_only_regular_files_are_replaced(tmp_path):
     before = modes()
     for name in ("pipe", "folder", "link", "nowhere"):
         refuses(
-            r"is not a regular file|is a symbolic link", write_whole, tmp_path / name, b"content"
+            r"is not a regular file|is a symbolic link", write_atomic, tmp_path / name, b"content"
         )
         with pytest.raises(DatasetError), whole(tmp_path / name):
             raise AssertionError("work for nothing")
@@ -81,7 +81,7 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
     planted.symlink_to(victim)
     monkeypatch.setattr(files, "draft_of", lambda path: planted)
     with pytest.raises(DatasetError):
-        write_whole(tmp_path / "a", b"content")
+        write_atomic(tmp_path / "a", b"content")
     assert planted.is_symlink()
     assert victim.read_bytes() == b"mine"
     monkeypatch.undo()
@@ -118,9 +118,9 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path):
         os.utime(path, (0, 0))
     (tmp_path / ".work.tmp").mkdir()
     os.utime(tmp_path / ".work.tmp", (0, 0))
-    remove_drafts(tmp_path, "b")
+    remove_temp_files(tmp_path, "b")
     assert gone.exists()  # of another target
-    remove_drafts(tmp_path, "a")
+    remove_temp_files(tmp_path, "a")
     assert set(tmp_path.iterdir()) == {*kept, link, tmp_path / ".work.tmp"}
 
 
@@ -135,12 +135,12 @@ def test_a_process_number_in_use_again_and_other_machines_are_told_apart(tmp_pat
     draft("_own_start", 12345)  # of a former process of this number
     elsewhere, long_ago = (draft("_machine", "0123456789ab") for _ in range(2))
     os.utime(long_ago, (time.time(), time.time() - files.STALE_S - 60))
-    remove_drafts(tmp_path)
+    remove_temp_files(tmp_path)
     assert list(tmp_path.iterdir()) == [elsewhere]
 
 
 def test_a_stop_removes_what_is_being_written(tmp_path):
-    write_whole(tmp_path / "a", b"whole")
+    write_atomic(tmp_path / "a", b"whole")
     undo_all()
     assert names(tmp_path) == {"a"}
     with pytest.raises(DatasetError), whole(tmp_path / "a"):  # noqa: PT012

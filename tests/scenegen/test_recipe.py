@@ -13,7 +13,7 @@ import pytest
 
 from scenegen import SPLITS
 from scenegen.base.errors import RecipeError
-from scenegen.base.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES_IN_SHARD, MOST_SEED
+from scenegen.base.limits import MAX_DRAWN_SOLIDS, MAX_SAMPLES_IN_SHARD, MAX_SEED
 from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.manifest import encode, parse
 from scenegen.dataset.schema import NAME
@@ -43,9 +43,9 @@ def manifest_of(recipe):
     """The bytes of a manifest without shards, with the greatest seed that there may be."""
     plan = plan_dataset(
         *(Path("d"), recipe, DrawnWorlds(recipe)),
-        seed=MOST_SEED,
+        seed=MAX_SEED,
         counts=dict.fromkeys(SPLITS, 0),
-        shard_samples=MOST_SAMPLES_IN_SHARD,
+        shard_samples=MAX_SAMPLES_IN_SHARD,
     )
     return encode(plan.manifest)
 
@@ -86,7 +86,7 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
         found = manifest_of(recipe)
         checked = parse(found)
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
-        assert recipe.world.most_solids() <= MOST_DRAWN_SOLIDS
+        assert recipe.world.max_solids() <= MAX_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
             (tmp_path / NAME).write_bytes(found)
             contract = read_contract(tmp_path, Ledger())

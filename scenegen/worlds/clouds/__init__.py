@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Floats, Mask
 from scenegen.base.errors import DatasetError, needs, printable
-from scenegen.base.limits import MOST_POINTS, MOST_SCAN_BYTES
+from scenegen.base.limits import MAX_POINTS, MAX_SCAN_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.clouds import formats
 from scenegen.worlds.clouds.columns import Table, origin_fields, time_fields
@@ -68,9 +68,7 @@ def cloud_of(table: Table) -> Cloud:
     return Cloud(points, table.layout, origins, times)
 
 
-def read_cloud(
-    path: Path, max_bytes: int = MOST_SCAN_BYTES, *, columns: int | None = None
-) -> Cloud:
+def read_cloud(path: Path, max_bytes: int = MAX_SCAN_BYTES, *, columns: int | None = None) -> Cloud:
     """Read the points of a file.
 
     Args:
@@ -108,9 +106,9 @@ def read_cloud(
         raise DatasetError(f"{path}: cannot be read as {kind}: {printable(error)[:300]}") from None
     if not len(cloud.points):
         raise DatasetError(f"{path}: holds no points, expected (N, 3) numbers: x, y, z in metres")
-    if len(cloud.points) > MOST_POINTS:
+    if len(cloud.points) > MAX_POINTS:
         raise DatasetError(
-            f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many"
+            f"{path}: holds more than {MAX_POINTS} points; give one scan, not a map of many"
         )
     return cloud
 

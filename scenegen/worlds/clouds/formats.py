@@ -20,11 +20,11 @@ from scenegen.base.errors import DatasetError, printable
 from scenegen.base.limits import (
     GUARD_BYTES,
     GUARD_S,
-    MOST_CLOUD_BYTES,
-    MOST_HEADER_BYTES,
-    MOST_LINE_BYTES,
-    MOST_POINTS,
-    MOST_SCAN_BYTES,
+    MAX_CLOUD_BYTES,
+    MAX_HEADER_BYTES,
+    MAX_LINE_BYTES,
+    MAX_POINTS,
+    MAX_SCAN_BYTES,
 )
 from scenegen.base.workers import guarded
 from scenegen.worlds.clouds.columns import (
@@ -83,7 +83,7 @@ def read_ply(content: bytes) -> Table:
     Raises:
         ValueError: If the header is invalid.
     """
-    end = PLY_END.search(content, 0, MOST_HEADER_BYTES)
+    end = PLY_END.search(content, 0, MAX_HEADER_BYTES)
     if end is None:
         raise ValueError("its header has no end")
     try:
@@ -135,7 +135,7 @@ def read_pcd(content: bytes) -> Table:
     Raises:
         ValueError: If the file is invalid.
     """
-    end = PCD_DATA.search(content, 0, MOST_HEADER_BYTES)
+    end = PCD_DATA.search(content, 0, MAX_HEADER_BYTES)
     if end is None:
         raise ValueError("its header has no line DATA, expected DATA ascii, binary or so")
     coding = end[1].strip().lower()
@@ -209,7 +209,7 @@ def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     It holds two sizes, and the LZF of one field's values after the other's. Raises ValueError if
     they do not fit."""
     packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
-    if size != count * layout.itemsize or size > MOST_CLOUD_BYTES:
+    if size != count * layout.itemsize or size > MAX_CLOUD_BYTES:
         raise ValueError(f"unpacks to {size} bytes, expected {layout.itemsize} for each point")
     columns = np.zeros(size, np.uint8)
     if _unpack_lzf(np.frombuffer(content, np.uint8)[8 : 8 + packed], columns) != size:
@@ -283,8 +283,8 @@ def _unpack_las(content: bytes) -> Table:
     backends = laspy.LazBackend.Lazrs, laspy.LazBackend.Laszip
     with laspy.open(io.BytesIO(content), laz_backend=backends, read_evlrs=False) as file:
         count = file.header.point_count
-        if count > MOST_POINTS:
-            raise DatasetError(f"promises {count} points, expected {MOST_POINTS} at most")
+        if count > MAX_POINTS:
+            raise DatasetError(f"promises {count} points, expected {MAX_POINTS} at most")
         dimensions = file.header.point_format.dimensions
         scalars = {dimension.name for dimension in dimensions if dimension.num_elements == 1}
         names = sorted(scalars | set("xyz"))
@@ -331,8 +331,8 @@ def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding:
 
     Fields are arrays, of which the first number is read. Raises ValueError for too many points, or
     fewer than promised."""
-    if not 0 <= count <= MOST_POINTS:
-        raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+    if not 0 <= count <= MAX_POINTS:
+        raise ValueError(f"promises {count} points, expected {MAX_POINTS} at most")
     names = layout.names or ()
     fields = used_fields(names)
     if coding in ("text", "ascii"):
@@ -365,9 +365,9 @@ def text_columns(
     """
     # checked first: loadtxt reads a line of any length into memory
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
-    if np.diff(ends, prepend=-1, append=len(text)).max() > MOST_LINE_BYTES:
+    if np.diff(ends, prepend=-1, append=len(text)).max() > MAX_LINE_BYTES:
         raise ValueError(
-            f"a line of more than {MOST_LINE_BYTES} bytes, expected x y z and little more"
+            f"a line of more than {MAX_LINE_BYTES} bytes, expected x y z and little more"
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about empty lines
@@ -402,7 +402,7 @@ def read_xyz(content: bytes) -> Table:
     # else the commas would make two numbers of one
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
-    columns = text_columns(content.replace(b",", b" "), places, MOST_POINTS + 1)
+    columns = text_columns(content.replace(b",", b" "), places, MAX_POINTS + 1)
     return Table(columns, "x y z (.xyz, text)")
 
 
@@ -479,5 +479,5 @@ def read_archive(content: bytes, columns: int | None) -> Table:
     Returns:
         The used columns.
     """
-    (points,) = read_npz(content, "points", max_bytes=MOST_SCAN_BYTES)
+    (points,) = read_npz(content, "points", max_bytes=MAX_SCAN_BYTES)
     return table_of_array(points, columns, ".npz")

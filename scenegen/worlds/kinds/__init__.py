@@ -10,7 +10,7 @@ import pkgutil
 from typing import TYPE_CHECKING
 
 from lidarsim.registry import Registry, suggestion
-from scenegen.base.limits import MOST_KIND_NAME
+from scenegen.base.limits import MAX_KIND_NAME
 
 if TYPE_CHECKING:
     from scenegen.worlds.kinds.kind import WorldKind
@@ -68,13 +68,13 @@ def find_kind(name: str) -> "type[WorldKind]":
     kind = KINDS.find(name)
     # a subclass that is no dataclass itself would have its parent's parameters alone
     if (
-        len(name) > MOST_KIND_NAME
+        len(name) > MAX_KIND_NAME
         or not (isinstance(kind, type) and issubclass(kind, WorldKind))
         or kind.__abstractmethods__
         or "__dataclass_fields__" not in vars(kind)
     ):
         raise ValueError(
-            f"kind {name[:MOST_KIND_NAME]}: expected a name of at most {MOST_KIND_NAME} characters "
+            f"kind {name[:MAX_KIND_NAME]}: expected a name of at most {MAX_KIND_NAME} characters "
             "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
             "with a method `add_to`"
         )

@@ -58,7 +58,7 @@ class Cave(Classed):
     """From floor to roof, metres; one value a world."""
     rough_m: Range = (0.2, 0.8)
     """Height of the floor's and depth of the roof's unevenness, metres; one value a world."""
-    chambers: tuple[int, int] = number((6, 10), least=1, most=200)
+    chambers: tuple[int, int] = number((6, 10), minimum=1, maximum=200)
     """Chambers of a world."""
     chamber_m: Range = (2.5, 6.0)
     """Radius of a chamber, metres."""
@@ -76,7 +76,7 @@ class Cave(Classed):
     rock_density: Range = (0.0, 0.06)
     """Rocks per square metre; one value a world."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count two solids a dripstone, one a rock."""
         area = self.size_m[0] * self.size_m[1]
         return (2 * self.dripstone_density[1] + self.rock_density[1]) * area + 2

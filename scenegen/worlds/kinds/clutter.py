@@ -40,13 +40,13 @@ class Clutter(Classed):
     density: Range = number((0.05, 0.5), above=0)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
     ego-planner's random maps have 400 obstacles on 1600 m² (0.25), which lies within."""
-    patch_m: Range = number((3.0, 10.0), least=0.5, most=1000)
+    patch_m: Range = number((3.0, 10.0), minimum=0.5, maximum=1000)
     """Width of thickets and clearings, metres; one value a world. Source: the "complexity" of
     ego-planner's Perlin maps, as a width."""
-    octaves: int = number(3, least=1, most=8)
+    octaves: int = number(3, minimum=1, maximum=8)
     """Octaves of the noise, each half as wide and half as strong as the one before. Source: the
     "fractal" of ego-planner's Perlin maps."""
-    contrast: float = number(3.0, least=0, most=20)
+    contrast: float = number(3.0, minimum=0, maximum=20)
     """How much denser thickets are than clearings: the exponent of the noise. Source: does what
     "fill" does in ego-planner's Perlin maps."""
     half_size_m: Range = (0.06, 1.4)

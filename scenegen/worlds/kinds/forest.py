@@ -46,7 +46,7 @@ class Forest(Classed):
     """Radius of a trunk at its foot, metres; one value a tree."""
     height_m: Range = (5.0, 11.0)
     """Height of trees, metres; one value a tree."""
-    lean: float = number(0.15, least=0, most=1)
+    lean: float = number(0.15, minimum=0, maximum=1)
     """How far a trunk leans at most from one limb to the next: a slope."""
     fork_share: float = 0.3
     """Share of trees that fork."""
@@ -57,7 +57,7 @@ class Forest(Classed):
     fallen_density: Range = (0.0, 0.01)
     """Fallen trunks per square metre; one value a world."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count up to twelve solids a tree, two a bush."""
         density = 12 * self.density[1] + 2 * self.bush_density[1] + self.fallen_density[1]
         return density * self.size_m[0] * self.size_m[1]

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import number
 from lidarsim.solids import BOX, CYLINDER, SPHERE, bounding_boxes
-from scenegen.base.limits import MOST_DRAWN_SOLIDS
+from scenegen.base.limits import MAX_DRAWN_SOLIDS
 from scenegen.worlds.drawing import Drawing
 from scenegen.worlds.kinds.kind import (
     Range,
@@ -64,7 +64,7 @@ class Geometric(WorldKind):
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid. Source: calibrated,
     results/calibration.md."""
-    scale: Range = number((0.7, 1.2), above=0, most=100)
+    scale: Range = number((0.7, 1.2), above=0, maximum=100)
     """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5
     """Share of solids that stand on the ground; others float at any height, or are stacked."""
@@ -82,17 +82,17 @@ class Geometric(WorldKind):
     """Half the thickness, metres."""
     clutter_density: Range = (0.0, 0.003)
     """Heaps of small solids per square metre; one value a world."""
-    clutter_count: tuple[int, int] = number((4, 8), least=0, most=MOST_DRAWN_SOLIDS)
+    clutter_count: tuple[int, int] = number((4, 8), minimum=0, maximum=MAX_DRAWN_SOLIDS)
     """Small solids in a heap."""
     clutter_spread_m: float = 0.5
     """Standard deviation of small solids' places about their heap's, metres."""
     clutter_half_size_m: Range = (0.1, 0.35)
     """Radii and half edges of small solids, metres."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count the solids of a world, those of heaps included."""
         heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
-        return super().most_solids() + heaps * (self.clutter_count[1] - 1)
+        return super().max_solids() + heaps * (self.clutter_count[1] - 1)
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw solids, walls and heaps, each of a density drawn once a world.

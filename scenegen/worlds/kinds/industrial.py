@@ -60,7 +60,7 @@ class Industrial(Classed):
     column_m: Range = (6.0, 10.0)
     """Distance of columns, metres; one value a world."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count the solids of everything, at its greatest number."""
         x_m, y_m, _ = self.size_m
         density = (

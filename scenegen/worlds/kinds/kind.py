@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.grid import Floats
-from lidarsim.parameters import Bounds, check, shown
+from lidarsim.parameters import Bounds, check, short_repr
 from lidarsim.solids import BOX
-from scenegen.base.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
+from scenegen.base.limits import MAX_DRAWN_M, MAX_DRAWN_SOLIDS
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 from scenegen.worlds.kinds.parts import Parts
@@ -60,18 +60,18 @@ class WorldKind(ABC):
         check(self, bounds_by_name)
         if (total := sum(getattr(self, name) for name in self.shares)) > 1:
             raise ValueError(f"{' + '.join(self.shares)} = {total}: expected at most 1")
-        solids = self.most_solids()
-        if solids > MOST_DRAWN_SOLIDS:
+        solids = self.max_solids()
+        if solids > MAX_DRAWN_SOLIDS:
             parameters = ", ".join(
-                f"{(plain := name.removeprefix('-'))} = {shown(getattr(self, plain))}"
+                f"{(plain := name.removeprefix('-'))} = {short_repr(getattr(self, plain))}"
                 for name in self.crowded_by
             )
             raise ValueError(
                 f"{parameters}: up to {solids:.4g} solids in a world of {list(self.size_m)} "
-                f"metres, expected {MOST_DRAWN_SOLIDS} at most; have fewer, or lower size_m"
+                f"metres, expected {MAX_DRAWN_SOLIDS} at most; have fewer, or lower size_m"
             )
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Return the greatest number of solids in a world.
 
         By default, parameters named `…density` count them per square metre; a kind that counts
@@ -123,11 +123,11 @@ def bounds_by_name(name: str, value: Any) -> Bounds:
     """
     pair = isinstance(value, list | tuple) and len(value) == 2
     if name.endswith("_share"):
-        return Bounds(least=0, most=1, rising=pair)
+        return Bounds(minimum=0, maximum=1, rising=pair)
     if name.endswith("_m"):
-        return Bounds(above=0, most=MOST_DRAWN_M, rising=pair)
+        return Bounds(above=0, maximum=MAX_DRAWN_M, rising=pair)
     if name.endswith("density") or pair:
-        return Bounds(least=0, rising=pair)
+        return Bounds(minimum=0, rising=pair)
     return Bounds()
 
 

@@ -65,9 +65,9 @@ class Maze(Classed):
     """Extent of the maze along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor under the lowest level."""
-    cell_m: Range = number((4.0, 6.0), least=1.0, most=1000)
+    cell_m: Range = number((4.0, 6.0), minimum=1.0, maximum=1000)
     """Edge of a cell in the plan, metres; one value a world."""
-    level_m: Range = number((3.0, 3.4), least=1.0, most=1000)
+    level_m: Range = number((3.0, 3.4), minimum=1.0, maximum=1000)
     """Height of a level, metres; one value a world."""
     wall_m: Range = (0.1, 0.3)
     """Thickness of walls, metres; one value a world."""
@@ -86,7 +86,7 @@ class Maze(Classed):
         x_m, y_m, z_m = self.size_m
         return max(int(x_m / cell), 1), max(int(y_m / cell), 1), max(int(z_m / level), 1)
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count five solids for each of the walls around every cell."""
         # three walls belong to a cell; each has four pieces and a shelf
         return 15.0 * np.prod(self._cells(self.cell_m[0], self.level_m[0]))

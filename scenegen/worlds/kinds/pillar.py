@@ -46,7 +46,7 @@ class Pillar(WorldKind):
     oblong_share: float = 0.1
     """Share of pillars with a rectangular section, up to `oblong_ratio` times as long as wide; the
     rest are square."""
-    oblong_ratio: float = number(3.0, least=1, most=1000)
+    oblong_ratio: float = number(3.0, minimum=1, maximum=1000)
     """Greatest ratio of the two edges of a rectangular section."""
     passage_share: float = 0.1
     """Share of pillars set beside an earlier one, a passage's width away; a few then stand outside

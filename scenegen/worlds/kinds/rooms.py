@@ -48,7 +48,7 @@ class Rooms(Classed):
     height_m: Range = (2.6, 3.4)
     """Clear height under the ceilings, metres; one value a world. Source: above the 2.29 m that the
     International Building Code asks of habitable rooms (1208.2)."""
-    room_m: Range = number((3.5, 10.0), least=1.0, most=1000)
+    room_m: Range = number((3.5, 10.0), minimum=1.0, maximum=1000)
     """Edges of rooms, metres: a longer one is divided, none becomes shorter."""
     corridor_m: Range = (1.6, 2.8)
     """Width of the corridor, metres. Source: above the 1.12 m that the International Building Code
@@ -77,7 +77,7 @@ class Rooms(Classed):
     column_share: float = 0.2
     """Share of rooms with columns."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count walls, doors and columns of the greatest number of rooms, and 12 solids a piece of
         furniture."""
         area = self.size_m[0] * self.size_m[1]

@@ -79,7 +79,7 @@ class Street(Classed):
     wire_share: float = 0.5
     """Share of streets with wires between lamp posts."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count the relief of two rows of houses, and everything on the pavements."""
         x, storeys = self.size_m[0], self.storeys[1] + 1
         bays = 2 * x / self.bay_m[0] + 2 * x / self.house_m[0]

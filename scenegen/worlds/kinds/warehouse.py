@@ -62,7 +62,7 @@ class Warehouse(Classed):
     truss_share: float = 0.8
     """Share of halls with trusses under the roof."""
 
-    def most_solids(self) -> float:
+    def max_solids(self) -> float:
         """Count racks of single pallets, and goods."""
         x_m, y_m, _ = self.size_m
         bays = x_m / (self.aisle_m[0] + 2.2) * (y_m / BAY_M + 1)

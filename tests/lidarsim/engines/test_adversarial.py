@@ -24,7 +24,7 @@ from tests.lidarsim.reference import Geom, unit
 
 FAR_M = 9e5
 SIZES = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
-LEAST_M, MOST_M = 1e-4, 1e3
+MIN_M, MAX_M = 1e-4, 1e3
 EPSILON = 2.0**-52
 ROUNDINGS = 8
 RAYS = 400
@@ -84,9 +84,9 @@ def right(kind, size, rays, found, tol):
 def test_one_solid_of_any_size_from_anywhere(kind, count):
     rng, hits = np.random.default_rng(sum(map(ord, kind))), 0
     for n in range(count):
-        size = np.exp(rng.uniform(np.log(LEAST_M), np.log(MOST_M), SIZES[kind]))
+        size = np.exp(rng.uniform(np.log(MIN_M), np.log(MAX_M), SIZES[kind]))
         if rng.random() < 0.5:  # as long as wide, or almost
-            size = np.clip(size[0] * rng.uniform(0.5, 2.0, len(size)), LEAST_M, MOST_M)
+            size = np.clip(size[0] * rng.uniform(0.5, 2.0, len(size)), MIN_M, MAX_M)
         place = FAR_M * unit(rng.normal(size=3)) if n % 2 else rng.uniform(-1, 1, 3)
         attitude = reference.random_quaternion(rng) if rng.random() < 0.7 else np.eye(4)[0]
         world = reference.world_xml([Geom(kind, tuple(size), tuple(place), tuple(attitude))])
@@ -137,7 +137,7 @@ def test_no_ray_leaks_out_of_a_closed_surface(shape, rng):
     """From within, rays at its corners, at the middles of its edges, and anywhere on these, all
     meet it: small and large, near and 900 km from the world's origin."""
     cast = 0
-    for scale, place in ((LEAST_M, 0.0), (1.0, 0.0), (1.0, 100.0), (1.0, FAR_M), (300.0, FAR_M)):
+    for scale, place in ((MIN_M, 0.0), (1.0, 0.0), (1.0, 100.0), (1.0, FAR_M), (300.0, FAR_M)):
         mesh = random_mesh(rng, scale)
         turn = reference.numbers(reference.random_quaternion(rng))
         geom = f'<geom type="{shape}" {shape}="{shape[0]}" pos="{place} 0 0" quat="{turn}"/>'

@@ -41,7 +41,7 @@ def test_one_batch_is_learned_by_heart(folders):
     torch.manual_seed(0)
     network = Network(NetworkConfig())
     optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
-    for step in range(120):
+    for step in range(240):
         optimizer.zero_grad()
         output = network.train()(batch)
         Coupled(LossConfig(), grid)(output, batch)["loss"].backward()

@@ -59,7 +59,7 @@ def test_bad_tasks_are_given_up_and_good_ones_done(begun):
 
 
 def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
-    monkeypatch.setattr("scenegen.base.workers.MOST_REPLACED", 1)
+    monkeypatch.setattr("scenegen.base.workers.MAX_REPLACED", 1)
     results = list(run(LIMITED, ["die"] * 5, 1))
     assert len(results) == 5
     assert "crashed" in results[1]

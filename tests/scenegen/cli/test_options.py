@@ -14,7 +14,7 @@ from scenegen.cli.options import options_of, out_option, taken
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    width: int = number(8, least=1, most=64)
+    width: int = number(8, minimum=1, maximum=64)
     reach_m: float = number(1.5, above=0)
     stride: Literal[1, 2] = 2
     mode: Literal["plain", "rich"] = "rich"

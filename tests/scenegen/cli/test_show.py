@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenegen.cli.show import say, show_columns, show_table
+from scenegen.cli.show import echo, show_columns, show_table
 
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
@@ -18,7 +18,7 @@ def test_names_and_values_are_escaped_and_keep_their_columns(capsys):
 
 
 def test_lines_are_kept_and_what_is_within_them_is_not(capsys):
-    say("one\n  two\x1b[31m\udcff")
+    echo("one\n  two\x1b[31m\udcff")
     assert capsys.readouterr().out == "one\n  two\\x1b[31m\\udcff\n"
 
 

@@ -155,7 +155,7 @@ def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix,
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("scenegen.worlds.clouds.formats.MOST_SCAN_BYTES", 10_000)
+    monkeypatch.setattr("scenegen.worlds.clouds.formats.MAX_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
     refuses("10000 at most", read_cloud, tmp_path / "bomb.npz")

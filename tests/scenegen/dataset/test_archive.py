@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from scenegen.base.errors import BrokenError
+from scenegen.base.errors import CorruptFileError
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.shard import zip_reproducibly
 
@@ -26,7 +26,7 @@ def test_a_number_is_written_in_one_way(tmp_path, name):
         archive.writestr(name, "<mujoco/>")
     with (
         open(tmp_path / "a.zip", "rb") as file,
-        pytest.raises(BrokenError, match="expected a"),
+        pytest.raises(CorruptFileError, match="expected a"),
         open_archive(file, "a.zip"),
     ):
         pass

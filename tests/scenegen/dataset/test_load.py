@@ -91,7 +91,7 @@ def test_many_processes_read_what_one_reads(made):
 
 
 def test_many_threads_and_few_open_files_read_the_same(made, monkeypatch):
-    monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
+    monkeypatch.setattr("scenegen.dataset.read.MAX_OPEN", 2)
     split = scenegen.load(made)
     expected = [digest((split, index)) for index in range(11)]
     assert len(split._open) == 2

@@ -95,7 +95,7 @@ def test_damage_and_strangers_files_are_refused(published, hub, tmp_path):
 
 
 def test_a_manifest_of_gigabytes_is_not_even_downloaded(published, hub, monkeypatch):
-    monkeypatch.setattr("scenegen.dataset.locate.MOST_MANIFEST_BYTES", 100)
+    monkeypatch.setattr("scenegen.dataset.locate.MAX_MANIFEST_BYTES", 100)
     refuses("that is no manifest of ours", locate, f"{NAME}@v1")
     assert not [line for line in hub.log if "/resolve/" in line]
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
-from scenegen.base.errors import BrokenError
+from scenegen.base.errors import CorruptFileError
 from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
@@ -101,7 +101,7 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     write_rays(table, tmp_path)
     entry = sensor_entry(table)
     assert sensor_of(entry, tmp_path) == table
-    with pytest.raises(BrokenError) as error:
+    with pytest.raises(CorruptFileError) as error:
         sensor_of(entry | {name: json.loads(value)}, tmp_path)
     assert "\n" not in str(error.value)
 

@@ -185,7 +185,7 @@ def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, monkeypatch
             archive.writestr(name, "up")
         assert "expected a plain file name" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole)
-    monkeypatch.setattr("scenegen.dataset.archive.MOST_DOCUMENT_BYTES", 10)
+    monkeypatch.setattr("scenegen.dataset.archive.MAX_DOCUMENT_BYTES", 10)
     assert "expected 10 at most" in refused(lambda: Dataset(dataset).world("train", 0))
 
 
@@ -215,7 +215,7 @@ def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, m
     assert "is damaged (Bad CRC-32" in refused(lambda: opened.world("train", 0))
     assert tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
-    monkeypatch.setattr("scenegen.dataset.archive.MOST_ARCHIVE_BYTES", 1000)
+    monkeypatch.setattr("scenegen.dataset.archive.MAX_ARCHIVE_BYTES", 1000)
     put(mesh=bytes(1000))
     assert "bytes unpacked, expected 1000 at most" in refused(world)
 

@@ -22,7 +22,7 @@ from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, read_recording, replay
 from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
-from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
+from scenegen.fly.motion import STEP_S, Quadrotor, advance, max_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
@@ -104,7 +104,7 @@ def test_no_bound_of_the_vehicle_is_exceeded(seed):
         states = np.vstack([state, advance(state, command[0], vehicle)])
         v, a = states[:, 3:6], states[:, 6:9]
         assert np.linalg.norm(v, axis=1).max() <= speed + jerk * STEP_S**2
-        assert np.linalg.norm(a, axis=1).max() <= most_pull(vehicle) + 1e-9
+        assert np.linalg.norm(a, axis=1).max() <= max_pull(vehicle) + 1e-9
         jerks = np.diff(a, axis=0) / STEP_S
         assert np.linalg.norm(jerks, axis=1).max() <= jerk * (1 + 1e-9)
         # the integral is exact for a constant jerk

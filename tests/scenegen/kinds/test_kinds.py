@@ -76,7 +76,7 @@ def test_easy_medium_and_hard_are_so(name, count):
 def test_solids_are_within_what_the_kind_says(kind):
     for seed in range(3):
         solids = draw(kind(), seed)
-        assert len(solids) <= kind().most_solids() + 1
+        assert len(solids) <= kind().max_solids() + 1
         place = np.array([solid.position for solid in solids])
         assert (place >= [-3.0, -3.0, -1.0]).all()
         assert (place <= np.add(kind().size_m, (3.0, 3.0, 8.0))).all()

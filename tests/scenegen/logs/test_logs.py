@@ -263,7 +263,7 @@ def ingest_and_be_killed(log, out, at):
 
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     """Of a place that takes several maps."""
-    monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", 800_000)
+    monkeypatch.setattr(scenegen.logs.fuse, "MAX_PLACE_VOXELS", 800_000)
     log, how = tmp_path / "log", NEAR
     whole, out, mended = (tmp_path / name for name in ("whole", "out", "mended"))
     written(log, 12)

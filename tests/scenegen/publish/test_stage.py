@@ -193,7 +193,7 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
 
 
 def test_too_many_files_are_refused_with_what_helps(asked, monkeypatch):
-    monkeypatch.setattr("scenegen.publish.stage.MOST_FILES", 13)
+    monkeypatch.setattr("scenegen.publish.stage.MAX_FILES", 13)
     refuses(
         r"14 files, more than the 13 .* --shard-samples, which changes no", stage, asked, CHECKS
     )

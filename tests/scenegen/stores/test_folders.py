@@ -4,7 +4,7 @@ nothing else changes. Here, ten take the place of a thousand."""
 import pytest
 
 from scenegen import load
-from scenegen.base.files import names_in
+from scenegen.base.files import list_dir
 from scenegen.base.stores import Store
 from scenegen.dataset import schema
 from scenegen.dataset.build import build
@@ -40,7 +40,7 @@ def deep(tmp_path):
 
 
 def test_a_dataset_in_folders_is_the_same_and_is_gone_on_with(deep, digest):
-    assert set(names_in(deep)) >= {DEEP, "train-0001x/train-00011.worlds.zip", "train-00009.h5"}
+    assert set(list_dir(deep)) >= {DEEP, "train-0001x/train-00011.worlds.zip", "train-00009.h5"}
     assert read(deep)["digest"] == digest
     (deep / DEEP).unlink()
     edit_manifest(deep, shards=[], complete=False)
@@ -50,7 +50,7 @@ def test_a_dataset_in_folders_is_the_same_and_is_gone_on_with(deep, digest):
     (deep / "train-0001x/train-00019.h5").touch()
     assert not verify(deep, quick=True).ok
     build(plan(deep, train=3, seed=6), force=True)
-    assert "train-0001x/train-00010.worlds.zip" not in names_in(deep)
+    assert "train-0001x/train-00010.worlds.zip" not in list_dir(deep)
 
 
 def test_a_store_holds_the_same_folders(store, digest):

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from scenegen.base.limits import MOST_DOCUMENT_BYTES
+from scenegen.base.limits import MAX_DOCUMENT_BYTES
 from scenegen.worlds.screen import screen
 from tests.scenegen import cases, refuses
 from tests.scenegen.verification import forge
@@ -70,12 +70,12 @@ LAUGHS = (
         ({"../evil.xml": b""}, "'../evil.xml': expected a plain file name"),
         ({"world.xml": b""}, "member 'world.xml': expected a world's number"),
         ({"000009.xml": geoms(1)}, "holds worlds 0 to 9 (3), its samples"),
-        (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
+        (world(b" " * (MAX_DOCUMENT_BYTES + 1)), f"expected {MAX_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
         *((world(geoms(1, more)), said) for more, said in cases("verification/hostile")),
         (world(DEEP), "200 levels"),
-        (world(geoms(1_000_000)[:MOST_DOCUMENT_BYTES]), "more than 50000 geoms"),
+        (world(geoms(1_000_000)[:MAX_DOCUMENT_BYTES]), "more than 50000 geoms"),
         (
             world(geoms(1, f"<worldbody>{'<site/>' * 5001}</worldbody>")),
             "more than 5000 elements besides geom",

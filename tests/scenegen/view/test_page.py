@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.view.look import look_at, looks
-from scenegen.view.page import HERE, MOST_VOXELS, page
+from scenegen.view.page import HERE, MAX_VOXELS, page
 from tests.command_line import refused
 from tests.scenegen import refuses
 
@@ -127,7 +127,7 @@ def test_what_cannot_be_shown_is_an_error(made, look):
     """A grid that no browser takes, and a pose that is none."""
     dataset = Dataset(made)
     refuses(
-        f"{MOST_VOXELS} at most",
+        f"{MAX_VOXELS} at most",
         lambda: page([replace(look, grid=GridSpec(shape=(256, 256, 128)))], title=""),
     )
     sample = dataset.split("train")[0]
@@ -139,7 +139,7 @@ def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made, monkeypa
     shown, _ = looks(Dataset(made), "train", [0, 1, 2])
     whole = Seen(page(shown, title="")).data()["samples"]
     most = sum(len(json.dumps(one)) for one in whole[:2]) + 10
-    monkeypatch.setattr("scenegen.view.page.MOST_BYTES", most)
+    monkeypatch.setattr("scenegen.view.page.MAX_BYTES", most)
     data = Seen(page(shown, title="")).data()
     assert data["samples"] == whole[:2]
     assert "1 samples are left out" in data["notes"][0]

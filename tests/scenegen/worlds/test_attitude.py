@@ -38,7 +38,7 @@ def test_acceleration_is_the_second_derivative_of_the_smoothed_path():
 def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays(rng):
     for _ in range(200):
         level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
-        lean = leaning(level, tuple(pull), most_deg=80.0)
+        lean = leaning(level, tuple(pull), max_deg=80.0)
         thrust = pull + np.array([0.0, 0.0, GRAVITY])
         assert_allclose(turned(lean).apply([0, 0, 1]), thrust / np.linalg.norm(thrust), atol=1e-12)
         righting = turned(level).inv() * turned(lean)
@@ -52,10 +52,10 @@ def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the
     for _ in range(200):
         level = Pose.facing(rng.normal(size=3), rng.normal(size=2))
         assert_array_equal(
-            leaning(level, (0.0, 0.0, 0.0), most_deg=30.0).quaternion, level.quaternion
+            leaning(level, (0.0, 0.0, 0.0), max_deg=30.0).quaternion, level.quaternion
         )
-        lean = leaning(level, tuple(rng.uniform(-300, 300, 3)), most_deg=30.0)
+        lean = leaning(level, tuple(rng.uniform(-300, 300, 3)), max_deg=30.0)
         up = turned(lean).apply([0, 0, 1])
         assert np.degrees(np.arccos(up[2])) <= 30.0 + 1e-6
-    forward = leaning(Pose.level((0, 0, 0), 0.0), (3.0, 0.0, 0.0), most_deg=30.0)
+    forward = leaning(Pose.level((0, 0, 0), 0.0), (3.0, 0.0, 0.0), max_deg=30.0)
     assert turned(forward).apply([1, 0, 0])[2] < 0.0  # to accelerate forward, the nose goes down

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from scenegen.base.limits import MOST_OTHERS
+from scenegen.base.limits import MAX_OTHERS
 from scenegen.worlds.drawing import MAX_WRITTEN, Drawing
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import preset
@@ -94,6 +94,6 @@ def test_a_kind_may_use_all_of_mujocos_spec():
 
 def test_a_kind_draws_nothing_that_readers_refuse():
     drawing = Drawing(BOUNDS)
-    for n in range(MOST_OTHERS + 1):
+    for n in range(MAX_OTHERS + 1):
         drawing.worldbody.add_site(name=str(n))
-    refuses(f"more than {MOST_OTHERS} elements", drawing.mjcf)
+    refuses(f"more than {MAX_OTHERS} elements", drawing.mjcf)

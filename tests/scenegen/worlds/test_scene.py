@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import scenegen.draw.source
 from lidarsim import MujocoEngine
-from lidarsim.parameters import MOST_TRIANGLES
-from scenegen.base.errors import BrokenError, SceneError
+from lidarsim.parameters import MAX_TRIANGLES
+from scenegen.base.errors import CorruptFileError, SceneError
 from scenegen.draw.source import read_scenes
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
@@ -222,7 +222,7 @@ ASSETS = {
     MESH.format('builtin="supersphere" params="30000 1 1"'): "not valid MJCF",
     HFIELD.format('file="nan.bin"'): "heights: expected finite numbers",
     HFIELD.format('file="huge.bin"'): "",
-    HFIELD.format('nrow="1200" ncol="1200"'): f"expected {MOST_TRIANGLES} at most",
+    HFIELD.format('nrow="1200" ncol="1200"'): f"expected {MAX_TRIANGLES} at most",
     MESH.format('file="pipe.stl"'): "took too long; 1 s and 1 GB are allowed",
 }
 WHOLE = {f"<mujoco><worldbody>{geom}</worldbody></mujoco>": said for geom, said in GEOMS.items()}
@@ -270,7 +270,7 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path):
 @pytest.mark.parametrize(("element", "said"), cases("worlds/scene"))
 def test_the_screen_refuses_what_generate_refuses(element, said):
     assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
-    with pytest.raises(BrokenError) as caught:
+    with pytest.raises(CorruptFileError) as caught:
         screen(f"<mujoco>{element}</mujoco>".encode(), assets, "w")
     assert said in str(caught.value)
 
