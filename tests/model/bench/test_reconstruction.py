@@ -26,27 +26,29 @@ from tests.conftest import small_recipe
 from tests.refusals import refuses
 
 GRID = GridSpec(shape=(7, 6, 5))
-DISTANCES, SHARES = (
-    [name for name, one in METRICS.items() if one.needs == needs]
-    for needs in ("distance", "occupancy")
-)
 
 
 def samples_of(recipe):
     return draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples
 
 
+def measured(prediction, truth, classes, **more):
+    """The metrics of the whole map by name; both maps are occupied voxels and distances."""
+    rows = measure(*prediction, *truth, classes=classes, class_count=len(CLASSES), **more)
+    return dict(zip(METRICS, rows[0], strict=True))
+
+
 def written_out(occupied, truth, error, near):
     """The metrics of some voxels by name: their definitions."""
-    found = {}
+    figures = {}
     for part, name in ((error, ""), (error[near], "near_")):
-        found[f"{name}rmse"] = np.sqrt(np.mean(part**2))
-        found[f"{name}mae"] = np.abs(part).mean()
-        found[f"{name}bias"] = part.mean()
+        figures[f"{name}rmse"] = np.sqrt(np.mean(part**2))
+        figures[f"{name}mae"] = np.abs(part).mean()
+        figures[f"{name}bias"] = part.mean()
     (_, misses), (alarms, hits) = stats.contingency.crosstab(occupied, truth).count
-    found["iou"] = hits / (hits + misses + alarms)
     precision, recall = hits / (hits + alarms), hits / (hits + misses)
-    return found | {
+    return figures | {
+        "iou": hits / (hits + misses + alarms),
         "precision": precision,
         "recall": recall,
         "f1": stats.hmean([precision, recall]),
@@ -54,7 +56,8 @@ def written_out(occupied, truth, error, near):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_metrics_of_the_map_a_union_and_every_class_are_their_definitions(seed):
+def test_metrics_are_their_definitions(seed):
+    """Of the map, a union of classes and every class."""
     rng = np.random.default_rng(seed)
     grid = GridSpec(shape=(18, 16, 14))
     truth = rng.random(grid.shape) < 0.01  # so that some voxels are just 1 m from it
@@ -70,112 +73,104 @@ def test_metrics_of_the_map_a_union_and_every_class_are_their_definitions(seed):
         assert dict(zip(METRICS, row, strict=True)) == pytest.approx(expected)
 
 
-def test_nothing_occupied_and_nothing_predicted_are_defined():
-    shape, whole = (2, 2, 2), {"classes": np.zeros((2, 2, 2), np.uint8), "class_count": 1}
-    none, some, far = np.zeros(shape, bool), np.ones(shape, bool), np.full(shape, 2.0, np.float32)
-    for occupied, truth, share in ((none, none, 1), (some, none, 0), (none, some, 0)):
-        field = distance_field(truth, GridSpec(shape=shape))
-        found = dict(zip(METRICS, measure(occupied, far, truth, field, **whole)[0], strict=True))
-        assert [found[name] for name in SHARES] == [share] * 4
-        assert np.isnan(found["near_rmse"]) == (not truth.any())
+@pytest.mark.parametrize(("occupied", "truth"), [(0, 0), (1, 0), (0, 1)])
+def test_empty_maps_have_metrics(occupied, truth):
+    grid = GridSpec(shape=(2, 2, 2))
+    occupied, truth = (np.full(grid.shape, value, bool) for value in (occupied, truth))
+    far, classes = np.full(grid.shape, 2.0, np.float32), np.zeros(grid.shape, np.uint8)
+    figures = measured((occupied, far), (truth, distance_field(truth, grid)), classes)
+    shares = {figures[name] for name, metric in METRICS.items() if metric.needs == "occupancy"}
+    assert shares == {float((occupied == truth).all())}
+    assert np.isnan(figures["near_rmse"]) == (not truth.any())
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_classes_part_the_map_and_mean_what_they_say(kind):
+def test_classes_mean_what_they_say(kind):
     recipe = small_recipe(kind)
     for sample in samples_of(recipe):
         classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
-        counts = dict(
-            zip(CLASSES, np.bincount(classes.ravel(), minlength=len(CLASSES)), strict=True)
-        )
-        assert counts["observed"] == sample.observed.sum()
-        assert counts["crossed"] == sample.free.sum()
-        assert counts["out_of_view"] > 0
+        masks = {name: classes == number for number, name in enumerate(CLASSES)}
+        assert_array_equal(masks["observed"], sample.observed)
+        assert_array_equal(masks["crossed"], sample.free)
         padded = np.pad(sample.occupancy, 1, constant_values=True)  # so counts what is beyond
         around = [
             np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)
         ]
         inside = np.all([sample.occupancy, *around], axis=0) & ~sample.free & ~sample.observed
-        assert_array_equal(classes == CLASSES.index("interior"), inside)
-        assert counts["occluded"] > 0
+        assert_array_equal(masks["interior"], inside)
+        assert masks["out_of_view"].any()
+        assert masks["occluded"].any()
 
 
 def test_nothing_below_the_ground_counts(rng):
     recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
-    low = samples_of(recipe)[0]
-    grid, table = recipe.grid, recipe.resolved()["world"]
-    scored = scored_voxels(low, grid, table)
-    heights = low.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
+    sample, grid, table = samples_of(recipe)[0], recipe.grid, recipe.resolved()["world"]
+    scored = scored_voxels(sample, grid, table)
+    heights = sample.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
     underside = -table["ground_m"]
     assert not scored[..., heights < underside - grid.voxel_m].any()
     assert scored[..., heights > underside].all()
     assert 0 < scored.sum() < scored.size
-    classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
+    classes = classify(sample, lidar=recipe.lidar, grid=grid, scored=scored)
     assert_array_equal(classes == UNSCORED, ~scored)
-    rows = []
-    said = rng.random(grid.shape) < 0.2
+    occupied, rows = rng.random(grid.shape) < 0.2, []
     for below in (False, True):
-        said[~scored] = below
-        far = np.where(said, np.float32(0), low.tudf)
-        count = len(CLASSES)
-        rows.append(measure(said, far, low.occupancy, low.tudf, classes=classes, class_count=count))
-    assert_array_equal(*rows)
-    assert scored_voxels(low, grid, {"ground": "grass"}).all()  # somebody's own kind
-    table["ground"] = False
-    assert scored_voxels(low, grid, table).all()
+        occupied[~scored] = below
+        prediction = occupied, np.where(occupied, np.float32(0), sample.tudf)
+        rows.append(measured(prediction, (sample.occupancy, sample.tudf), classes))
+    assert rows[0] == rows[1]
+    assert scored_voxels(sample, grid, {"ground": "grass"}).all()  # somebody's own kind
+    assert scored_voxels(sample, grid, table | {"ground": False}).all()
 
 
-def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans(rng):
+def test_unknown_voxels_count_nowhere(rng):
+    """And they are solid for plans."""
     recipe = small_recipe("geometric")
-    drawn = samples_of(recipe)[0]
-    grid = recipe.grid
+    drawn, grid = samples_of(recipe)[0], recipe.grid
+    truth = drawn.occupancy, drawn.tudf
     assert certain_distances(drawn.tudf, None, grid) is None
     known = rng.random(grid.shape) < 0.9
     sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
     scored = scored_voxels(sample, grid, {})
     assert_array_equal(scored, known)
-    certain = certain_distances(sample.tudf, known, grid)
+    certain = certain_distances(drawn.tudf, known, grid)
     other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
     assert_array_equal(other[certain], drawn.tudf[certain])
     classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
-    said, distance = drawn.occupancy.copy(), drawn.tudf.copy()
     for wrong in (False, True):
-        said[~known], distance[~certain] = wrong, 9.0 * wrong
-        rows.append(
-            measure(
-                said, distance, drawn.occupancy, drawn.tudf,
-                classes=classes, class_count=1, certain=certain,
-            )
-        )  # fmt: skip
-    assert_array_equal(*rows)
-    solid, gap = walled(drawn.occupancy, drawn.tudf, known, grid)
+        prediction = (
+            np.where(known, drawn.occupancy, wrong),
+            np.where(certain, drawn.tudf, np.float32(9.0 * wrong)),
+        )
+        rows.append(measured(prediction, truth, classes, certain=certain))
+    assert rows[0] == rows[1]
+    solid, gap = walled(*truth, known, grid)
     assert_array_equal(solid, drawn.occupancy | ~known)
     assert_array_equal(gap, distance_field(solid, grid))
 
 
 def test_unlearned_methods_do_what_they_say():
-    observed, free = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
+    """By columns, of which all others are neither observed nor free."""
+    observed, free = np.zeros((2, *GRID.shape), bool)
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
-    at = Thresholds()
-    empty = Empty().complete(observed, free, grid=GRID)
-    assert not empty.occupied(at).any()
-    assert (empty.distance(at, GRID) == GRID.truncation_m).all()
-    assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
-    assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
-    extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)
-    assert extruded[2, 3].tolist() == [False, True, True, True, False]
-    assert extruded[4, 4].tolist() == [True, False, False, False, False]
-    assert extruded.sum() == 4
-    for method in (Returns(), Conservative(), Extrude()):
-        completion = method.complete(observed, free, grid=GRID)
-        expected = distance_field(completion.occupied(at), GRID)
-        assert_array_equal(completion.distance(at, GRID), expected)
+    extruded = np.zeros_like(observed)
+    extruded[2, 3, 1:4] = extruded[4, 4, 0] = True
+    for method, expected in (
+        (Empty(), np.zeros_like(observed)),
+        (Returns(), observed),
+        (Conservative(), ~free),
+        (Extrude(), extruded),
+    ):
+        prediction = method.complete(observed, free, grid=GRID)
+        assert_array_equal(prediction.occupied(Thresholds()), expected)
+        distance = prediction.distance(Thresholds(), GRID)
+        assert_array_equal(distance, distance_field(expected, GRID))
 
 
-def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
+def test_predictions_derive_what_they_leave_out():
     tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
-    completion = Prediction(tudf=tudf)
-    assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
-    assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
+    prediction = Prediction(tudf=tudf)
+    assert_array_equal(prediction.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
+    assert prediction.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
     refuses("neither", Prediction)

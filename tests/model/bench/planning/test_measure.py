@@ -52,9 +52,19 @@ def is_clear(path, truth):
     return not truth[tuple(voxels.T)].any()
 
 
-def test_measurements_are_those_of_a_slow_reference():
-    """Every leg cut into pieces of at most 0.05 m, read by scipy, averaged along the path."""
+def reference_of(path, tudf):
+    """Length, mean and least clearance: every leg cut into pieces of at most 0.05 m, read by
+    scipy, averaged along the path."""
     axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
+    read = RegularGridInterpolator(axes, tudf.astype(float), bounds_error=False, fill_value=None)
+    legs = [(points, read(points)) for points in points_of(path)]
+    weights = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points, _ in legs]
+    middles = [(values[1:] + values[:-1]) / 2 for _, values in legs]
+    mean = np.average(np.concatenate(middles), weights=np.concatenate(weights))
+    return np.concatenate(weights).sum(), mean, min(values.min() for _, values in legs)
+
+
+def test_measurements_are_those_of_a_reference():
     outcomes = set()
     for seed in range(12):
         truth, pred = scattered(seed), scattered(100 + seed)
@@ -65,9 +75,6 @@ def test_measurements_are_those_of_a_slow_reference():
         if seed == 0:
             pred[29] = True  # a wall of nodes, so that some goals cannot be reached
         tudf, tudf_pred = distance_field(truth, GRID), distance_field(pred, GRID)
-        read = RegularGridInterpolator(
-            axes, tudf.astype(float), bounds_error=False, fill_value=None
-        )
         for goal in trials_in(truth, 5, seed).goals:
             result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, PLAN)
             initial, reason = plan_path(pred, goal, GRID, PLAN)
@@ -77,17 +84,8 @@ def test_measurements_are_those_of_a_slow_reference():
                 outcomes.add(reason)
                 continue
             path = refine(initial, tudf_pred, GRID, PLAN)
-            distances, weights = [], []
-            for points in points_of(path):
-                found = read(points)
-                distances.append((found[1:] + found[:-1]) / 2)
-                weights.append(np.linalg.norm(np.diff(points, axis=0), axis=1))
-            length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-            assert result.length_m == pytest.approx(length)
-            mean = np.average(np.concatenate(distances), weights=np.concatenate(weights))
-            assert result.mean_clearance_m == pytest.approx(mean, abs=1e-9)
-            least = read(np.concatenate([*points_of(path)])).min()
-            assert result.min_clearance_m == pytest.approx(least)
+            actual = result.length_m, result.mean_clearance_m, result.min_clearance_m
+            assert actual == pytest.approx(reference_of(path, tudf))
             before, after = is_clear(initial, truth), is_clear(path, truth)
             cause = "refined_into_obstacle" if before else "initial_collides"
             assert (result.success, result.cause) == (after, None if after else cause)
@@ -95,27 +93,26 @@ def test_measurements_are_those_of_a_slow_reference():
     assert len(outcomes - {"goal_blocked"}) == 5  # refinement saves some paths, and spoils others
 
 
-def test_maps_of_another_shape_are_refused():
+def test_other_shapes_and_places_are_refused():
     maps = {"occupied": FREE, "tudf": FAR, "occupancy_truth": FREE, "tudf_truth": FAR}
-    for name, given in maps.items():
-        wrong = (maps | {name: given[1:]}).values()
+    for name, values in maps.items():
+        wrong = (maps | {name: values[1:]}).values()
         assert name in refuses(name, run_trial, *wrong, EAST, GRID, PLAN)
-
-
-def test_a_path_that_leaves_the_map_is_refused():
-    for end in (4.1, -0.1):
+    for end in (4.1, -0.1):  # beyond the map
         path = np.array([[2.0] * 3, [end] * 3])
         refuses(end, judge, Plan(path, None), path, FREE, FAR, GRID)
+    for offset in ([0, 0, 0.1], [-0.2, 0, 0], [90, 0, 0], [0, 0, np.nan]):  # to no node
+        refuses(offset, plan_path, FREE, EAST + offset, GRID, PLAN)
+    refuses("refine", refine, LATTICE.centres([[6, 6, 3], [9, 6, 3]]), FAR[1:], GRID, PLAN)
 
 
-def test_hits_are_the_occupied_voxels_of_a_path_in_its_order():
+def test_hits_are_the_paths_occupied_voxels():
+    """In its order; the last voxel of the path is number 30."""
     truth = FREE.copy()
-    truth[30, 20, 10] = truth[25:27, 20, 10] = True  # the last voxel of the path is number 30
-    truth[35, 20, 10] = True  # beyond it
+    truth[[25, 26, 30, 35], 20, 10] = True  # of which one is beyond it
     path = LATTICE.centres([[6, 6, 3], [9, 6, 3]])
     path[1, 0] += 0.2
-    judged = judge(Plan(path, None), path, truth, FAR, GRID)
-    numbers = np.arange(truth.size).reshape(GRID.shape)
-    assert judged.hits == tuple(numbers[[25, 26, 30], 20, 10].tolist())
-    assert judged.hit == judged.hits[0]
+    numbers = np.arange(truth.size).reshape(GRID.shape)[[25, 26, 30], 20, 10].tolist()
+    measured = judge(Plan(path, None), path, truth, FAR, GRID)
+    assert (measured.hits, measured.hit) == (tuple(numbers), numbers[0])
     assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None

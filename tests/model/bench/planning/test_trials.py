@@ -5,42 +5,25 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from scenegen.model.bench.planner import plan_path
-from scenegen.model.config import PlanConfig
-from tests.model.bench.planning.test_measure import FREE, GRID, trials_in
+from tests.model.bench.planning.test_measure import FREE, GRID, PLAN, trials_in
 
 
-def scattered(seed, density):
-    occupied = np.random.default_rng(seed).random(GRID.shape) < density
-    occupied[20, 20, 10] = False
-    return occupied
-
-
-def test_goals_are_free_reachable_different_nodes_of_the_faces():
-    truth, config = scattered(1, 0.3), PlanConfig()
-    trials = trials_in(truth, 80, 0)
-    assert trials.goals.shape == (80, 3)
-    voxels = np.floor(trials.goals / 0.2).astype(int)
-    assert not truth[tuple(voxels.T)].any()
+def test_goals_are_reachable_nodes_of_the_faces(rng):
+    """Different ones, which follow from the stream alone; more of them begin alike."""
+    truth = rng.random(GRID.shape) < 0.3
+    truth[20, 20, 10] = False
+    goals = trials_in(truth, 80, 0).goals
+    voxels = np.floor(goals / 0.2).astype(int)
     lateral = np.isin(voxels[:, :2], (2, 38)).any(axis=1)
-    level = np.isin(voxels[:, 2], (1, 19))
-    assert (lateral | level).all()
-    assert (~lateral).any()
+    assert (lateral | np.isin(voxels[:, 2], (1, 19))).all()
+    assert not lateral.all()
     assert len(np.unique(voxels, axis=0)) == 80
-    assert all(plan_path(truth, goal, GRID, config).reason is None for goal in trials.goals)
+    assert all(plan_path(truth, goal, GRID, PLAN).reason is None for goal in goals)
+    assert_array_equal(trials_in(truth, 20, 0).goals, goals[:20])
+    assert not np.array_equal(trials_in(truth, 80, 1).goals, goals)
 
 
-def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
-    truth = scattered(2, 0.2)
-    first, again, other, more = (
-        trials_in(truth, count, seed) for seed, count in ((5, 20), (5, 20), (6, 20), (5, 40))
-    )
-    assert_array_equal(first.goals, again.goals)
-    assert_array_equal(first.goals, more.goals[:20])
-    assert first.excluded == again.excluded
-    assert not np.array_equal(first.goals, other.goals)
-
-
-def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
+def test_all_goals_are_tried_and_excluded_ones_counted():
     """A wall cuts off the layer x = 38, all of 13 x 7 goals; one of the others lies in an
     obstacle."""
     truth = FREE.copy()
@@ -58,8 +41,8 @@ def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
 def test_goals_keep_within_bounds():
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
-    goals, everywhere = (trials_in(FREE, 10_000, 0, bounds=given).goals for given in (bounds, None))
-    x, _, z = everywhere.T
-    inside = everywhere[(x <= 6) & (z >= 1) & (z <= 2.5)]
+    goals, everywhere = (
+        {*map(tuple, trials_in(FREE, 10_000, 0, bounds=box).goals)} for box in (bounds, None)
+    )
+    assert goals == {(x, y, z) for x, y, z in everywhere if x <= 6 and 1 <= z <= 2.5}
     assert 0 < len(goals) < len(everywhere)
-    assert {*map(tuple, goals)} == {*map(tuple, inside)}
