@@ -39,14 +39,7 @@ def test_the_notebook_is_the_page():
     assert text == tutorial.written(PAGE), "run python docs/tutorial.py"
     assert len(text.encode()) < MAX_BYTES
     cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
-    shell = [cell for cell in cells if cell["source"][0] == tutorial.SHELL]
-    words = [shlex.split(line) for cell in shell for line in cell["source"][1:]]
-    assert words == tutorial.commands(PAGE)
-    pictures = [cell for cell in cells if cell["source"][-1].startswith("Image(")]
-    assert len(pictures) == len(tutorial.PICTURE.findall(PAGE))
-    shown = [cell for cell in cells if cell["source"][-1].startswith("scenegen.show(")]
-    printing = [cell for cell in shell if "inspect" in str(cell["source"])]
-    assert all(cell["outputs"] for cell in printing + pictures + shown)
+    assert all(cell["outputs"] for cell in cells[1:])  # the first sets up
     assert not any(word in text for word in ("<iframe", "<script", "\\u001b"))
 
 

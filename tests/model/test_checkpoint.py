@@ -40,13 +40,6 @@ def test_what_is_saved_comes_back(saved):
     torch.testing.assert_close(sent(batch=maps)[:2], network(maps)[:2], rtol=0, atol=0)
 
 
-def test_the_stem_stride_that_earlier_versions_wrote_is_read(saved):
-    path, network = saved
-    tensors, header = load_tensors(path)
-    save_tensors(path, tensors, header | {"network": header["network"] | {"stem_stride": 2}})
-    assert load_network(path)[0].config == network.config
-
-
 class Trap:
     """Leaves a file behind when it is unpickled."""
 

@@ -20,22 +20,19 @@ from scenegen.model.completion.predictions import predict_split
 from scenegen.model.config import NetworkConfig
 from scenegen.model.inputs import PointScan, channels
 from tests.model.conftest import saved_network
-from tests.model.training.runs import maps_of, small, train
+from tests.model.training.runs import maps_of
 from tests.refusals import refuses
 
 GRID = GridSpec(shape=(16, 24, 8))
 BOTH = ("observed", "free")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_free_space_goes_all_the_way(folders, tmp_path):
-    """A step of training, then a split, a row of the bench and a scan."""
-    config = small(network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12)
-    train(folders, config, tmp_path / "run")
-    network, grid, _ = load_network(tmp_path / "run" / "best.safetensors")
-    completer = Completer.from_pretrained(tmp_path / "run")
+def test_free_space_is_given_to_networks(folders, tmp_path):
+    """Of a split, a row of the bench, a sample, a map and points."""
     dataset = Dataset(folders[1])
-    split = dataset.split("test")
+    split, grid = dataset.split("test"), dataset.grid
+    network = saved_network(tmp_path / "net.safetensors", grid, inputs=BOTH)
+    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     sample = split[0]
     maps = {name: torch.from_numpy(getattr(sample, name)[None]) for name in BOTH}
     with torch.no_grad():
@@ -46,7 +43,7 @@ def test_free_space_goes_all_the_way(folders, tmp_path):
     predict_split(completer, dataset, "test", tmp_path / "p")
     for prediction in (
         Predicted(tmp_path / "p").completion(sample, split),
-        Completer.from_pretrained(tmp_path / "run", threads=1).completion(sample, split),
+        completer.completion(sample, split),
         completer.complete(sample.observed, sample.free, grid=grid),
         completer(sample),
     ):

@@ -3,26 +3,24 @@ how it refuses."""
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_array_equal, assert_equal
 
 from scenegen.__main__ import app
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.base.workers import Local
-from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
-from scenegen.model.bench.planner import plan_path, refine
 from scenegen.model.bench.report import build_report, to_markdown
-from scenegen.model.bench.run import bench, trials_of
-from scenegen.model.bench.trials import met
-from scenegen.model.bench.visibility import Case
+from scenegen.model.bench.run import bench, plan_all
 from scenegen.model.completion.protocol import Prediction, Returns
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from tests.conftest import dataset_in
+from tests.model.bench.planning.test_measure import EAST, FAR, FREE, GRID, LATTICE
 from tests.refusals import refuses
 
 CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
@@ -123,7 +121,13 @@ def test_every_figure_has_its_place(dataset, tmp_path, capsys):
     assert returns["unobserved"]["iou"]["mean"] == 0  # returns say nothing about unknown voxels
     assert returns["precision"]["mean"] == 1.0
     assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
-    assert report["datasets"]["pillar"]["digest"] == dataset.manifest.digest
+    about = report["datasets"]["pillar"]
+    assert about["digest"] == dataset.manifest.digest
+    planned = report["planning"]["pillar"]
+    assert planned["truth"]["success_blocked"]["n"] == about["blocked_lines"]
+    assert "unmarked" not in planned["truth"]
+    tested = [test["metric"] for test in report["tests"]["pillar"]]
+    assert tested[-2:] == ["success_blocked", "success"]
     assert "0.559 ± 0.058" in (tmp_path / "report.md").read_text()  # the paper's
 
 
@@ -166,38 +170,30 @@ def test_only_learned_rows_choose_common_successes(dataset):
     assert not any(find_method(name).learned for name in METHODS.builtin)
 
 
-def test_blocked_lines_and_crossed_hits_count_apart(dataset):
-    """As computed from the sample and the path: a straight line, and the path of a planner whose
-    map is empty."""
-    config = replace(CONFIG, trials=400)
-    result = bench(dataset, [find_method("empty"), Truth()], config)
-    split, grid, plan = dataset.split("test"), dataset.grid, config.plan
-    free, far = np.zeros(grid.shape, bool), np.full(grid.shape, 2.0, np.float32)
-    rows = []
-    for index, turn in result.trial_places:
-        case = Case(split[index], index, split)
-        occupied, crossed = case.sample.occupancy.ravel(), case.sample.free.ravel()
-        goal = trials_of(case, plan, turn + 1, rng_of(config.seed, index)).goals[turn]
-        waypoints = plan_path(free, goal, grid, plan).waypoints
-        line = met(waypoints[[0, -1]], grid)
-        hits = [voxel for voxel in met(refine(waypoints, far, grid, plan), grid) if occupied[voxel]]
-        rows.append((occupied[line].any(), len(hits) > 0, len(hits) > 0 and crossed[hits].all()))
-    blocked, hit, crossed_only = np.array(rows).T
-    assert 0 < blocked.sum() < len(blocked)
-    assert 0 < crossed_only.sum() < hit.sum()
-    empty = result.methods["empty"]
-    assert_array_equal(empty.values("success"), ~hit)
-    assert_array_equal(empty.values("success_blocked"), np.where(blocked, ~hit, np.nan))
-    assert_array_equal(empty.values("hits"), hit)
-    assert_array_equal(empty.values("crossed_hits"), crossed_only)
-    report = build_report([result], seed=0, about={})
-    assert report["datasets"]["pillar"]["blocked_lines"] == blocked.sum()
-    planned = report["planning"]["pillar"]
-    assert planned["empty"]["success_blocked"]["mean"] == pytest.approx(1 - hit[blocked].mean())
-    assert "unmarked" not in planned["truth"]
-    tested = [test["metric"] for test in report["tests"]["pillar"]]
-    assert tested[-2:] == ["success_blocked", "success"]
-    assert f" {400 - blocked.sum()} it is free" in to_markdown(report)
+def test_blocked_lines_and_crossed_hits_are_told():
+    """A wall across the straight line to the first goal, of whose voxels rays crossed all, or
+    none."""
+    occupied, seen = FREE.copy(), FREE.copy()
+    occupied[30] = True
+    for crossed in (True, False):
+        maps = {"observed": ~seen, "free": seen | crossed, "occupancy": occupied}
+        sample = SimpleNamespace(**maps, known=None)
+        case = SimpleNamespace(sample=sample, grid=GRID, truth=(occupied, FAR))
+        goals = [EAST, LATTICE.centres([0, 6, 3])]
+        trials = plan_all(Prediction(FREE.astype(np.float32)), case, goals, BenchConfig())
+        figures = {
+            name: [PLAN_METRICS[name].of(trial) for trial in trials]
+            for name in ("success", "success_blocked", "hits", "crossed_hits")
+        }
+        assert_equal(
+            figures,
+            {
+                "success": [False, True],
+                "success_blocked": [False, np.nan],
+                "hits": [True, False],
+                "crossed_hits": [crossed, False],
+            },
+        )
 
 
 @pytest.mark.parametrize("method", ["Plain", "Wild"])

@@ -55,7 +55,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
         assert_allclose(file["probability"][0], expected, atol=1e-5)
 
 
-def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
+def test_stored_probabilities_are_judged(dataset, weights, tmp_path, undrawn):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:

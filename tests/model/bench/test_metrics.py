@@ -26,7 +26,7 @@ def test_the_docs_name_every_metric():
     assert re.findall(pattern, page("metrics.md"), re.M) == rows
 
 
-def test_new_metrics_are_in_every_table(dataset, tmp_path, monkeypatch, capsys):
+def test_new_metrics_are_in_every_table(dataset, tmp_path, monkeypatch, capsys, undrawn):
     """And where nothing was measured, a report is JSON all the same."""
     for table, metric in ((METRICS, ALARMS), (METRICS, NEVER), (PLAN_METRICS, EVENNESS)):
         metric = replace(metric, better="lower", tested=("map",))

@@ -1,6 +1,6 @@
 """Metrics against hand-computed small maps and scipy, and their edge cases."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,20 +28,10 @@ from tests.refusals import refuses
 GRID = GridSpec(shape=(7, 6, 5))
 
 
-def samples_of(recipe):
-    return draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples
-
-
-def measured(prediction, truth, classes, **more):
-    """The metrics of the whole map by name; both maps are occupied voxels and distances."""
-    rows = measure(*prediction, *truth, classes=classes, class_count=len(CLASSES), **more)
-    return dict(zip(METRICS, rows[0], strict=True))
-
-
 def written_out(occupied, truth, error, near):
     """The metrics of some voxels by name: their definitions."""
     figures = {}
-    for part, name in ((error, ""), (error[near], "near_")):
+    for part, name in ((error, ""), (near, "near_")):
         figures[f"{name}rmse"] = np.sqrt(np.mean(part**2))
         figures[f"{name}mae"] = np.abs(part).mean()
         figures[f"{name}bias"] = part.mean()
@@ -57,39 +47,49 @@ def written_out(occupied, truth, error, near):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_metrics_are_their_definitions(seed):
-    """Of the map, a union of classes and every class."""
+    """Of the map, a union of classes and every class; of voxels that are scored, and distances that
+    are certain."""
     rng = np.random.default_rng(seed)
     grid = GridSpec(shape=(18, 16, 14))
     truth = rng.random(grid.shape) < 0.01  # so that some voxels are just 1 m from it
-    occupied, classes = rng.random(grid.shape) < 0.2, rng.integers(0, 3, grid.shape, np.uint8)
+    occupied, classes = rng.random(grid.shape) < 0.2, rng.integers(0, 4, grid.shape, np.uint8)
+    classes[classes == 3] = UNSCORED
+    certain = rng.random(grid.shape) < 0.8 if seed else None
     distance, true = 2 * rng.random(grid.shape, np.float32), distance_field(truth, grid)
     assert (true == 1.0).any()
-    how = {"classes": classes, "class_count": 3, "union": [0, 2]}
+    how = {"classes": classes, "class_count": 3, "union": [0, 2], "certain": certain}
     rows = measure(occupied, distance, truth, true, **how)
-    parts = [classes < 3, classes != 1, *(classes == c for c in range(3))]
-    for row, part in zip(rows, parts, strict=True):
-        error = (distance.astype(float) - true)[part]
-        expected = written_out(occupied[part], truth[part], error, true[part] <= 1.0)
+    error, sure = distance.astype(float) - true, True if certain is None else certain
+    for row, union in zip(rows, [(0, 1, 2), (0, 2), (0,), (1,), (2,)], strict=True):
+        part = np.isin(classes, union)
+        near = error[part & sure & (true <= 1.0)]
+        expected = written_out(occupied[part], truth[part], error[part & sure], near)
         assert dict(zip(METRICS, row, strict=True)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("occupied", "truth"), [(0, 0), (1, 0), (0, 1)])
 def test_empty_maps_have_metrics(occupied, truth):
-    grid = GridSpec(shape=(2, 2, 2))
-    occupied, truth = (np.full(grid.shape, value, bool) for value in (occupied, truth))
-    far, classes = np.full(grid.shape, 2.0, np.float32), np.zeros(grid.shape, np.uint8)
-    figures = measured((occupied, far), (truth, distance_field(truth, grid)), classes)
+    occupied, truth = (np.full(GRID.shape, value, bool) for value in (occupied, truth))
+    far, classes = np.full(GRID.shape, 2.0, np.float32), np.zeros(GRID.shape, np.uint8)
+    how = {"classes": classes, "class_count": 1}
+    row, *_ = measure(occupied, far, truth, distance_field(truth, GRID), **how)
+    figures = dict(zip(METRICS, row, strict=True))
     shares = {figures[name] for name, metric in METRICS.items() if metric.needs == "occupancy"}
     assert shares == {float((occupied == truth).all())}
     assert np.isnan(figures["near_rmse"]) == (not truth.any())
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_classes_mean_what_they_say(kind):
+def test_classes_mean_what_they_say(kind, rng):
     recipe = small_recipe(kind)
-    for sample in samples_of(recipe):
-        classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
-        masks = {name: classes == number for number, name in enumerate(CLASSES)}
+    for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples:
+        scored = rng.random(recipe.grid.shape) < 0.9
+        classes, all_classes = (
+            classify(sample, lidar=recipe.lidar, grid=recipe.grid, scored=mask)
+            for mask in (scored, None)
+        )
+        assert_array_equal(classes, np.where(scored, all_classes, UNSCORED))
+        masks = {name: all_classes == number for number, name in enumerate(CLASSES)}
         assert_array_equal(masks["observed"], sample.observed)
         assert_array_equal(masks["crossed"], sample.free)
         padded = np.pad(sample.occupancy, 1, constant_values=True)  # so counts what is beyond
@@ -102,51 +102,35 @@ def test_classes_mean_what_they_say(kind):
         assert masks["occluded"].any()
 
 
-def test_nothing_below_the_ground_counts(rng):
-    recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
-    sample, grid, table = samples_of(recipe)[0], recipe.grid, recipe.resolved()["world"]
-    scored = scored_voxels(sample, grid, table)
-    heights = sample.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
-    underside = -table["ground_m"]
-    assert not scored[..., heights < underside - grid.voxel_m].any()
-    assert scored[..., heights > underside].all()
-    assert 0 < scored.sum() < scored.size
-    classes = classify(sample, lidar=recipe.lidar, grid=grid, scored=scored)
-    assert_array_equal(classes == UNSCORED, ~scored)
-    occupied, rows = rng.random(grid.shape) < 0.2, []
-    for below in (False, True):
-        occupied[~scored] = below
-        prediction = occupied, np.where(occupied, np.float32(0), sample.tudf)
-        rows.append(measured(prediction, (sample.occupancy, sample.tudf), classes))
-    assert rows[0] == rows[1]
-    assert scored_voxels(sample, grid, {"ground": "grass"}).all()  # somebody's own kind
-    assert scored_voxels(sample, grid, table | {"ground": False}).all()
+@pytest.mark.parametrize(
+    ("world", "below"),
+    [
+        ({"ground": True, "ground_m": 0.5}, 2),  # the third layer ends 0.4 m below 0
+        ({"ground": True, "ground_m": 0.4}, 3),
+        ({"ground": False, "ground_m": 0.5}, 0),
+        ({"ground": "grass", "ground_m": 0.5}, 0),  # somebody's own kind
+        (None, 0),
+    ],
+)
+def test_layers_below_the_ground_are_unscored(world, below):
+    sample = SimpleNamespace(origin=np.array([0.0, 0.0, -1.0]), known=None)
+    expected = np.broadcast_to(np.arange(5) >= below, GRID.shape)
+    assert_array_equal(scored_voxels(sample, GRID, world), expected)
 
 
-def test_unknown_voxels_count_nowhere(rng):
-    """And they are solid for plans."""
-    recipe = small_recipe("geometric")
-    drawn, grid = samples_of(recipe)[0], recipe.grid
-    truth = drawn.occupancy, drawn.tudf
-    assert certain_distances(drawn.tudf, None, grid) is None
-    known = rng.random(grid.shape) < 0.9
-    sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
-    scored = scored_voxels(sample, grid, {})
-    assert_array_equal(scored, known)
-    certain = certain_distances(drawn.tudf, known, grid)
-    other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
-    assert_array_equal(other[certain], drawn.tudf[certain])
-    classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
-    for wrong in (False, True):
-        prediction = (
-            np.where(known, drawn.occupancy, wrong),
-            np.where(certain, drawn.tudf, np.float32(9.0 * wrong)),
-        )
-        rows.append(measured(prediction, truth, classes, certain=certain))
-    assert rows[0] == rows[1]
-    solid, gap = walled(*truth, known, grid)
-    assert_array_equal(solid, drawn.occupancy | ~known)
-    assert_array_equal(gap, distance_field(solid, grid))
+def test_unknown_voxels_are_unscored_and_solid(rng):
+    """Certain distances are those that no unknown voxel can change."""
+    occupied, known = rng.random((2, *GRID.shape)) < [[[[0.05]]], [[[0.95]]]]
+    sample = SimpleNamespace(origin=np.zeros(3), known=known)
+    assert_array_equal(scored_voxels(sample, GRID, None), known)
+    distance = distance_field(occupied & known, GRID)
+    certain = certain_distances(distance, known, GRID)
+    solid, gap = walled(occupied & known, distance, known, GRID)
+    assert_array_equal(solid, occupied & known | ~known)
+    assert_array_equal(gap, distance_field(solid, GRID))
+    assert_array_equal(certain, gap == distance)
+    assert 0 < certain.sum() < certain.size
+    assert certain_distances(distance, None, GRID) is None
 
 
 def test_unlearned_methods_do_what_they_say():

@@ -11,7 +11,6 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from lidarsim import GridSpec
 from scenegen.base.errors import DatasetError
 from scenegen.cli.complete import complete_scans
 from scenegen.dataset.read import Dataset
@@ -114,21 +113,19 @@ def test_damaged_completions_are_made_again(net, tmp_path, capsys):
     assert {path: path.read_bytes() for path in out.glob("*.h5")} == whole
 
 
-def test_other_grids_are_refused(folders, tmp_path):
-    net = completer_of(tmp_path / "net.safetensors", GridSpec(shape=(16, 16, 16)))
-    more = {"error": DatasetError}
-    refuses("grid", predict_split, net, Dataset(folders[0]), "test", tmp_path / "p", **more)
-
-
 def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
-    """Points without a return are left out."""
+    """Points beyond the map, and those without a return, are counted."""
     dataset, out = Dataset(folders[0]), tmp_path / "out.h5"
     sample = dataset.split("train")[0]
     points = dataset.grid.centres(sample.origin)[sample.observed]
-    np.save(tmp_path / "scan.npy", np.pad(points, ((0, 1), (0, 0)), constant_values=np.nan))
-    scan, count = read_scan(tmp_path / "scan.npy", sample.position), len(points)
-    report = predict_scan(net, scan, out)
-    assert (report.inside, report.points, report.without) == (count, count + 1, 1)
+    far, lost = [[99e3, 0, 0], [-50, 0, 0]], [sample.position, [np.nan, 0, 0], [0, np.inf, 0]]
+    np.save(tmp_path / "scan.npy", np.vstack([points, far, lost]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scan = read_scan(tmp_path / "scan.npy", sample.position)
+        report = predict_scan(net, scan, out)
+    assert (report.inside, report.points, report.without) == (len(points), len(points) + 5, 3)
+    check_wording("summary", "; ".join(summary(net, [report])))
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
@@ -139,19 +136,6 @@ def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
     cloud = np.asarray(trimesh.load(tmp_path / "out.ply").vertices)
     voxels = np.unique(dataset.grid.index(cloud, sample.origin), axis=0)
     assert np.array_equal(voxels, np.argwhere(expected.occupied(thresholds)))
-
-
-def test_points_without_use_are_counted(net, tmp_path):
-    """Those beyond the map, and those without a return."""
-    far, no_return = [[99e3, 0, 0], [-50, 0, 0]], [[0, 0, 0], [np.nan, 0, 0], [0, np.inf, 0]]
-    points = [[0.5, 0, 0], [0.1, 0, 0], *far, *no_return]
-    ((_, read),) = scans_in(tmp_path, scan=points)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        report = predict_scan(net, read(), tmp_path / "out.h5")
-    assert (report.inside, report.points, report.without) == (2, 7, 3)
-    assert report.height_m is None
-    check_wording("summary", "; ".join(summary(net, [report])))
 
 
 def test_unfit_scans_and_places_are_refused(net, tmp_path):

@@ -228,10 +228,17 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     assert "98765." not in shown  # scores follow from what was flown
 
 
+class Crashing:
+    act = None
+
+    def reset(self, about):
+        pass
+
+
 def test_stopped_runs_keep_an_entry(tmp_path, monkeypatch):
     """Until then it is written every few seconds; of flights without a suite nothing is kept."""
     course = Course(world="pillar", flights=1)
-    flown = fly(course.simulation(0), object())
+    flown = fly(course.simulation(0), Crashing())
     courses = [replace(course, seed=n, document="ab") for n in range(3)]
     saved, told = [], []
 

@@ -1,14 +1,16 @@
-"""Trials are judged in the truth as a slow reference judges them, on random maps."""
+"""Trials are judged in the truth as a slow reference judges them, on random maps; their goals are
+free and reachable; and the careful planner keeps to its map."""
 
 import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
 from scenegen.model.bench.planner import Lattice, Plan, plan_path, refine
-from scenegen.model.bench.trials import draw_trials, judge, run_trial
+from scenegen.model.bench.trials import draw_trials, judge, met, plan_trial, run_trial
 from scenegen.model.config import PlanConfig
 from scenegen.truth import distance_field
 from tests.refusals import refuses
@@ -116,3 +118,82 @@ def test_hits_are_the_paths_occupied_voxels():
     measured = judge(Plan(path, None), path, truth, FAR, GRID)
     assert (measured.hits, measured.hit) == (tuple(numbers), numbers[0])
     assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None
+
+
+def test_goals_are_reachable_nodes_of_the_faces(rng):
+    """Different ones, which follow from the stream alone; more of them begin alike."""
+    truth = rng.random(GRID.shape) < 0.3
+    truth[20, 20, 10] = False
+    goals = trials_in(truth, 80, 0).goals
+    voxels = np.floor(goals / 0.2).astype(int)
+    lateral = np.isin(voxels[:, :2], (2, 38)).any(axis=1)
+    assert (lateral | np.isin(voxels[:, 2], (1, 19))).all()
+    assert not lateral.all()
+    assert len(np.unique(voxels, axis=0)) == 80
+    assert all(plan_path(truth, goal, GRID, PLAN).reason is None for goal in goals)
+    assert_array_equal(trials_in(truth, 20, 0).goals, goals[:20])
+    assert not np.array_equal(trials_in(truth, 80, 1).goals, goals)
+
+
+def test_all_goals_are_tried_and_excluded_ones_counted():
+    """A wall cuts off the layer x = 38, all of 13 x 7 goals; one of the others lies in an
+    obstacle."""
+    truth = FREE.copy()
+    truth[35] = True
+    truth[2, 2, 1] = True
+    trials = trials_in(truth, 10_000, 0)
+    layer = 13 * 7
+    rim = 13 * 13 * 7 - 11 * 11 * 5  # nodes of the outermost layer
+    blocked = layer - 11 * 5 + 1
+    assert len(trials.goals) == rim - layer - blocked
+    assert trials.excluded == {"no_path": layer, "goal_blocked": blocked}
+    assert (trials.goals[:, 0] < 35 * 0.2).all()
+
+
+def test_goals_keep_within_bounds():
+    """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
+    bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
+    goals, everywhere = (
+        {*map(tuple, trials_in(FREE, 10_000, 0, bounds=box).goals)} for box in (bounds, None)
+    )
+    assert goals == {(x, y, z) for x, y, z in everywhere if x <= 6 and 1 <= z <= 2.5}
+    assert 0 < len(goals) < len(everywhere)
+
+
+CAREFUL = PlanConfig(planner="careful")
+
+
+def planned(blocked, field, goal, risk=None):
+    """What A* finds, the path, and the voxels that it meets, counted in C order."""
+    plan, path = plan_trial(blocked, field, risk, goal, GRID, CAREFUL)
+    return plan, path, np.empty(0, int) if path is None else met(path, GRID)
+
+
+def test_occupied_voxels_are_never_entered():
+    paths = 0
+    for seed in range(20):
+        occupied = scattered(seed)
+        field = distance_field(occupied, GRID)
+        for goal in trials_in(occupied, 4, seed).goals:
+            _, path, voxels = planned(occupied, field, goal)
+            paths += path is not None
+            assert not occupied.reshape(-1)[voxels].any()
+    assert paths > 60
+
+
+def test_starts_may_be_held_occupied():
+    around = np.zeros(GRID.shape, bool)
+    around[tuple(edge // 2 for edge in GRID.shape)] = True
+    assert planned(around, FAR, EAST)[1] is not None
+    assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
+
+
+def test_likely_obstacles_are_gone_round():
+    """A slab of a probability below the threshold, with a gap two metres off the straight line: the
+    shortest path goes through the slab, the careful one through the gap."""
+    risk = np.zeros(GRID.shape, np.float32)
+    risk[28:32, :30] = 0.7
+    shortest = met(plan_path(FREE, EAST, GRID, PLAN).waypoints, GRID)
+    *_, careful = planned(FREE, FAR, EAST, risk)
+    highest = [risk.reshape(-1)[voxels].max() for voxels in (shortest, careful)]
+    assert highest[0] > 0.5 >= highest[1]
