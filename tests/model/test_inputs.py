@@ -13,6 +13,7 @@ from scenegen.model.checkpoint import (
     CheckpointError,
     load_network,
     load_tensors,
+    save_network,
     save_tensors,
 )
 from scenegen.model.completion.completer import Completer
@@ -32,6 +33,9 @@ def test_free_space_is_given_to_networks(folders, tmp_path):
     dataset = Dataset(folders[1])
     split, grid = dataset.split("test"), dataset.grid
     network = saved_network(tmp_path / "net.safetensors", grid, inputs=BOTH)
+    with torch.no_grad():
+        network.preprocess[0].weight.mul_(1e3)  # so that inputs count
+    save_network(tmp_path / "net.safetensors", network, grid, {})
     completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     sample = split[0]
     maps = {name: torch.from_numpy(getattr(sample, name)[None]) for name in BOTH}

@@ -62,6 +62,9 @@ def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):
         for rank in ranks:  # one waits long for the other
             rank.kill()
     expected, expected_losses = load_tensors(tmp_path / "0 of 1")
+    torch.manual_seed(0)
+    before = Network(small().network).named_parameters()
+    assert any(not torch.equal(expected[name], weight) for name, weight in before)
     for rank in range(2):
         weights, losses = load_tensors(tmp_path / f"{rank} of 2")
         assert losses == pytest.approx(expected_losses, rel=1e-5)

@@ -21,20 +21,20 @@ def begun(folders, once, undrawn):
     return once("begun", lambda out: train(folders, small(epochs=1), out))
 
 
-def restore(folder):
-    """Take up a run where it was; the network."""
-    network = Network(SMALL.network)
-    RunFolder(folder).restore(network, torch.optim.AdamW(network.parameters()))
-    return network
+def restored(path):
+    """A run taken up where it was, and its network."""
+    folder, network = RunFolder(path), Network(SMALL.network)
+    folder.restore(network, torch.optim.AdamW(network.parameters()))
+    return folder, network
 
 
 def test_damaged_states_are_refused(begun, tmp_path):
     tensors, header = load_tensors(begun / "last.safetensors")
     state = tmp_path / "last.safetensors"
     save_tensors(state, tensors, header | {"more": 1})
-    refuses("other", restore, tmp_path, error=CheckpointError)
+    refuses("other", restored, tmp_path, error=CheckpointError)
     state.write_bytes(b"\xff" * 5000)
-    refuses("bytes", restore, tmp_path, error=CheckpointError)
+    refuses("bytes", restored, tmp_path, error=CheckpointError)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_a_full_disk_leaves_the_last_state(folders, begun, tmp_path, monkeypatch
     def full(path, mode):
         raise OSError(28, "No space left on device", str(path))
 
-    network, folder, grid = restore(out), RunFolder(out), maps_of(folders).grid
+    (folder, network), grid = restored(out), maps_of(folders).grid
     progress = Progress(rows=[{"epoch": 1.0, "val_loss": 1.0}])
     with monkeypatch.context() as patch:
         patch.setattr(files, "open", full, raising=False)
