@@ -122,7 +122,7 @@ def test_inputs_and_outputs_go_by_name(tmp_path, runtime):
 @pytest.mark.parametrize(
     "header",
     [
-        {"grid": SMALL_GRID, "network": [[]] * 9},
+        {"grid": SMALL_GRID, "network": None},
         {"grid": SMALL_GRID, "network": NETWORK | {"inputs": ["distance"]}},
         {"grid": SMALL_GRID, "network": NETWORK | {"variant": "occ"}},
         {"grid": SMALL_GRID | {"shape": [8, 8]}, "network": NETWORK},

@@ -49,7 +49,7 @@ def test_the_page_trains_completes_benches_and_exports(here, capsys):
     assert Completer.from_pretrained(opened).inputs == ("my_input:rise",)
     rows = figures(Path("runs/Net"))
     assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
-    refuses_command(capsys, [word.replace("my_loss:loss", "coupled") for word in commands[0]])
+    refuses_command(capsys, " ".join(commands[0]).replace("my_loss:loss", "coupled"))
     words = f"train data/pillar --weights {OWN}@runs/Net --loss my_loss:loss --maps 1"
     done(capsys, f"{words} --out runs/tuned")
     exec(example("own-network.md", "scenegen.train("), {})

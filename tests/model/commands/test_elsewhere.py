@@ -64,7 +64,7 @@ def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatc
 def test_ranks_fill_and_runs_go_on(here, capsys, monkeypatch, words):
     """One folder; after a run that lost a task."""
     whole = done(capsys, *words, "-o", "whole", "--workers", 2)
-    refuses_command(capsys, (*words, "-o", "again", "--quiet", *CUT_OFF))
+    refuses_command(capsys, " ".join((*words, "-o again --quiet", *CUT_OFF)))
     again = done(capsys, *words, "-o", "again")
     ranks = list(as_ranks(capsys, monkeypatch, *words, "-o", "ranks"))
     assert contents(here / "ranks") == contents(here / "again") == contents(here / "whole")
@@ -76,7 +76,7 @@ def test_ranks_fill_and_runs_go_on(here, capsys, monkeypatch, words):
 
 def test_scans_are_completed_here(here, capsys):
     (here / "scan.xyz").write_text("1 1 1\n")
-    refuses_command(capsys, ("complete", "scan.xyz", "--weights", "n.safetensors", *AWAY))
+    refuses_command(capsys, f"complete scan.xyz --weights n.safetensors {' '.join(AWAY)}")
 
 
 def test_ranks_that_share_nothing_are_refused(here, capsys, monkeypatch):

@@ -38,10 +38,10 @@ def test_scans_of_a_log_stand_upright(tmp_path, points, capsys):
         write_points(log / "velodyne" / f"{n:06d}.bin", rotate(inverse, points), None, {})
     matrix = np.column_stack([rotate(TILT.quaternion, np.eye(3)).T, TILT.position])
     np.savetxt(log / "poses.txt", np.stack([matrix.ravel()] * 3))
-    words = ("complete", log, "--every", 2, "-o", out, "--device", "cpu")
+    words = f"complete {log} --every 2 -o {out} --device cpu"
     refuses_command(capsys, words)
-    refuses_command(capsys, ("complete", log / "velodyne", "--topic", "/a"))
-    _, said, noted = run(capsys, *words, "--poses-of", "sensor")
+    refuses_command(capsys, f"complete {log}/velodyne --topic /a")
+    _, said, noted = run(capsys, f"{words} --poses-of sensor")
     assert said.startswith(f"{out}: 2 completions")
     assert "the sensor is some 1.3 m above what it sees" in noted
     assert set(contents(out)) == {"000000.h5", "000002.h5", "completions.json", "index.html"}
