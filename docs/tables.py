@@ -99,8 +99,9 @@ def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
             for level in ("easy", "medium", "hard")
         ]
         values = [_value(value) for value in levels]
+        star = "\\*" if WORLD in meaning else ""
         cells = (
-            f"`{item.name}`{'\\*' if WORLD in meaning else ''}",
+            f"`{item.name}`{star}",
             values[0] if len(set(values)) == 1 else " · ".join(values),
             meaning.replace(f"{WORLD}, drawn so that", ";").replace(WORLD, ""),
         )
