@@ -89,6 +89,8 @@ def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
         usual = bounds_by_name(item.name, item.default)
         bounds = item.metadata.get(BOUNDS, usual)
         meaning, _, source = said[item.name].partition(" Source: ")
+        if item.name.endswith("_share"):
+            meaning = re.sub("^Share of (.)", lambda found: found[1].upper(), meaning)
         if str(bounds) != str(usual):
             meaning += f" Allowed: {_allowed(bounds)}."
         if source:
