@@ -141,7 +141,9 @@ def field_default(kind: type, name: str) -> Any:
 
 def _allowed(bounds: Bounds) -> str:
     """Bounds in as few words as a table needs."""
-    return str(bounds).replace("a finite number", "").replace("a ", "").strip().removeprefix("from ")
+    return (
+        str(bounds).replace("a finite number", "").replace("a ", "").strip().removeprefix("from ")
+    )
 
 
 def sensors() -> str:
