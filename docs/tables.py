@@ -57,23 +57,22 @@ def meanings(kind: type) -> dict[str, str]:
 
 
 def table(kind: type[Any]) -> str:
-    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields
+    """The parameters of a dataclass: name, default and allowed values, and the meaning. Fields
     that are such dataclasses themselves are left out: they have tables of their own."""
     said = meanings(kind)
     if issubclass(kind, WorldKind):
         return kind_table(kind, said)
-    lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    lines = ["| parameter | default (allowed) | meaning |", "|---|---|---|"]
     types = get_type_hints(kind)
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            choices = get_args(types[item.name])
+            values = _value(item.default)
             if get_origin(types[item.name]) is Literal:
-                allowed = ", ".join(_value(choice) for choice in choices)
-            else:
-                allowed = _allowed(item.metadata.get(BOUNDS, Bounds()))
-            lines.append(
-                f"| `{item.name}` | {_value(item.default)} | {allowed} | {said[item.name]} |"
-            )
+                choices = [_value(choice) for choice in get_args(types[item.name])]
+                values = " or ".join(sorted(choices, key=lambda choice: choice != values))
+            elif allowed := _allowed(item.metadata.get(BOUNDS, Bounds())):
+                values += f" ({allowed})"
+            lines.append(f"| `{item.name}` | {values} | {said[item.name]} |")
     return "\n".join(lines) + "\n"
 
 
@@ -147,12 +146,9 @@ def _allowed(bounds: Bounds) -> str:
 
 
 def sensors() -> str:
-    """The catalogue: a table of name with a link to its picture, rays of a scan, angles, range and
-    noise. Then a list of how a real unit may differ from these figures, with sensors of one kind
-    together."""
+    """The catalogue: name with a link to its picture, rays of a scan, angles, range and noise."""
     heads = ("sensor", "rays", "a scan", "elevations", "range", "`--noise datasheet`")
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    alike: dict[str, list[str]] = {}
     for name in CATALOGUE:
         sensor = SENSORS.find(name)
         height = angles_deg(sensor.directions_body)[0].round(2)
@@ -166,9 +162,6 @@ def sensors() -> str:
             f"`{sensor.noise}`",
         )
         lines.append(f"| {' | '.join(cells)} |")
-        alike.setdefault(sensor.error, []).append(f"`{name}`")
-    lines.append("\nHow a real unit may differ from these figures:\n")
-    lines += [f"- {', '.join(names)}: {error}." for error, names in alike.items()]
     return "\n".join(lines) + "\n"
 
 
