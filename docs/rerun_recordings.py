@@ -25,10 +25,12 @@ def record_predictions(samples: Sequence[Sample], completer: Completer, path: Pa
         log.send_blueprint(layout.Horizontal(*views))
         for number, sample in enumerate(samples):
             log.set_time("sample", sequence=number)
-            centres = sample.grid.centres(sample.origin)
+            grid = sample.grid
+            assert grid is not None  # of every sample that `load` reads
+            centres = grid.centres(sample.origin)
             masks = (sample.observed, completer(sample).occupied(), sample.occupancy)
             for name, mask in zip(names, masks, strict=True):
-                log.log(name, rr.Points3D(centres[mask], radii=sample.grid.voxel_m / 2))
+                log.log(name, rr.Points3D(centres[mask], radii=grid.voxel_m / 2))
 
 
 def record_flight(env: Flight, path: Path | str, seed: int = 0) -> None:
