@@ -46,10 +46,11 @@ def test_the_page_trains_completes_benches_and_exports(here, capsys):
         for name in ("occupancy_probability", "tudf"):
             assert_allclose(again[name], first[name], atol=5e-2)
     (opened, *_) = Completer.from_pretrained(f"{OWN}@runs/Net").opened
-    assert Completer.from_pretrained(opened).inputs == ("my_input:rise",)
+    assert Completer.from_pretrained(opened).inputs == ("observed", "my_input:rise")
     rows = figures(Path("runs/Net"))
     assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
-    refuses_command(capsys, " ".join(commands[0]).replace("my_loss:loss", "coupled"))
+    other = [word.replace("my_loss:loss", "coupled") for word in commands[0]]
+    assert "objective is" in refused(capsys, *other)
     words = f"train data/pillar --weights {OWN}@runs/Net --loss my_loss:loss --maps 1"
     done(capsys, f"{words} --out runs/tuned")
     exec(example("own-network.md", "scenegen.train("), {})

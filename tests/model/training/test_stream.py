@@ -28,7 +28,8 @@ def streamed(split="train", samples=10**9):
 
 
 def run(out, **more):
-    return loop.train([streamed()], [streamed("val", 4)], CONFIG, out, device="cpu", **more)  # type: ignore[arg-type]
+    maps, validation = [streamed()], [streamed("val", 4)]
+    return loop.train(maps, validation, CONFIG, out, device="cpu", **more)
 
 
 @pytest.fixture
