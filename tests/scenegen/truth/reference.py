@@ -42,6 +42,12 @@ Floats = NDArray[np.float64]
 jit = numba.njit(cache=True)
 
 
+def unit(rng):
+    """A random direction."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
 def rotation(quat):
     """The matrix of a quaternion w, x, y, z of any length."""
     return Rotation.from_quat(quat, scalar_first=True).as_matrix()

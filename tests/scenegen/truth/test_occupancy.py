@@ -16,7 +16,16 @@ from scenegen.truth import rasterize
 from tests.command_line import rows
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
-from tests.scenegen.truth.reference import EITHER, FREE, KINDS, OCCUPIED, UNDECIDED, Shape, judge
+from tests.scenegen.truth.reference import (
+    EITHER,
+    FREE,
+    KINDS,
+    OCCUPIED,
+    UNDECIDED,
+    Shape,
+    judge,
+    unit,
+)
 
 VOXELS = (0.1, 0.2, 0.25)
 
@@ -49,11 +58,6 @@ def compiled(cases):
     for n, case in enumerate(cases):
         alone = {name: getattr(together, name)[n : n + 1] for name in names}
         yield *case, dataclasses.replace(together, **alone)
-
-
-def unit(rng):
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
 
 
 def log_uniform(rng, low, high, n=3):
