@@ -62,7 +62,7 @@ def dataset(tmp_path_factory):
         "<mujoco><worldbody><geom type='plane' size='0 0 1'/><geom type='box' size='1 9 3' "
         "pos='9 0 3'/><geom type='box' size='9 1 3' pos='0 9 3'/></worldbody></mujoco>"
     )
-    recipe, counts = folder / "recipe.toml", {"n": 20, "val": 5, "test": 5}
+    recipe, counts = folder / "recipe.toml", {"n": 10, "val": 4, "test": 4}
     recipe.write_text(RECIPE)
     options = {"recipe": recipe, "out": folder / "data", "shard_samples": 10}
     (plan,) = plan_generation(scene=folder, **counts, **options).datasets
@@ -84,7 +84,7 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
     report = verify(dataset)
     assert report.ok, report.failed
     counts = {check.name: check.counts for check in report.checks}
-    assert counts["occupancy"]["samples"] == 30
+    assert counts["occupancy"]["samples"] == 18
     assert counts["rays"]["rays"] == counts["known"]["samples"] * 480 > 0
 
 
