@@ -117,21 +117,6 @@ def test_what_lies_behind_a_rays_end_is_not_freed(reach, most, freed):
         assert got.free[int((0.5 - low) / 0.25), 4, 4] == freed
 
 
-def test_returns_on_grid_planes_lie_where_the_floor_formula_says(rng):
-    """At multiples of the voxel along axes and diagonals, in single precision: the last bit
-    decides."""
-    for voxel_m in map(float, np.float32(rng.uniform(0.1, 0.4, 12))):
-        grid = GridSpec(shape=(20, 20, 20), voxel_m=voxel_m)
-        rays = rng.choice([-1.0, 0.0, 1.0], (900, 3))
-        rays[:, 0] += (rays == 0).all(axis=1)
-        reach = rng.integers(1, 12, 900) * voxel_m * np.linalg.norm(rays, axis=1)
-        scan = scan_of(rays, reach)
-        got = voxelize(scan, grid)
-        expected = reference.observed(*inputs(scan, grid, got), scan.ranges)
-        assert_array_equal(got.observed, expected)
-        assert expected.sum() > 50
-
-
 def test_ranges_and_places_that_are_none_are_refused():
     """The kernels would read beyond them, or walk without end."""
     scan = scan_of(np.eye(3), np.ones(3))

@@ -14,9 +14,9 @@ def room(count):
     """What a sensor 1.5 m above the floor sees of a room, (N, 3), float32, in no order."""
     around, up = RNG.uniform(-np.pi, np.pi, count), RNG.uniform(-0.4, 0.2, count)
     rays = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=1)
-    walls = np.minimum(6 / np.abs(rays[:, 0]), 5 / np.abs(rays[:, 1]))
-    floor = np.where(rays[:, 2] < 0, 1.5 / np.maximum(-rays[:, 2], 1e-9), np.inf)
-    return (rays * np.minimum(walls, floor)[:, None]).astype("<f4")
+    walls = np.array([6, 5, 1.5]) / np.maximum(np.abs(rays), 1e-9)
+    walls[rays[:, 2] > 0, 2] = np.inf  # no ceiling
+    return (rays * walls.min(axis=1, keepdims=True)).astype("<f4")
 
 
 # of 9600 points, every number of columns from 3 to 6, and 8, divides the file

@@ -3,6 +3,7 @@ without a trace."""
 
 import os
 import warnings
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -20,22 +21,12 @@ from scenegen.worlds.world import compile_world, quiet_mujoco
 from tests.lidarsim.reference import unit
 from tests.refusals import refuses
 from tests.scenegen import cases
+from tests.scenegen.truth.test_occupancy import punctured_ball, touching_blocks
 
 ONE = {"train": 1, "val": 0, "test": 0}
 NOWHERE = '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
 ASSET = """<mujoco><asset><{kind} name="a" {attributes}/></asset>
 <worldbody><geom type="{kind}" {kind}="a"/></worldbody></mujoco>"""
-ATTACHED = """<mujoco><asset>{assets}<model name="robot" file="sub/robot.xml"/></asset><worldbody>
-<geom type="box" size="1 2 3" pos="5 0 1.23456789"/>
-<frame pos="-4 1 2" euler="10 20 30"><attach model="robot" body="arm" prefix="r/"/></frame>
-</worldbody></mujoco>"""
-ROBOT = """<mujoco><compiler meshdir="parts"/><asset>
-<mesh name="arm" file="arm.obj" scale="1 1.2345678 1"/></asset><worldbody>
-<body name="arm" pos="0 0 1"><joint name="j"/><geom type="mesh" mesh="arm"/></body>
-</worldbody></mujoco>"""
-
-
-SIDES = "right", "left", "up", "down", "front", "back"
 
 
 @pytest.fixture(autouse=True)
@@ -57,6 +48,11 @@ def write(folder, text, name="world.xml"):
     return folder / name
 
 
+def document(name):
+    """A file beside the tests."""
+    return (Path(__file__).with_name("mjcf") / f"{name}.xml").read_text()
+
+
 def assert_as_mujoco_compiles_it(path):
     """The archived document gives the rays of MuJoCo's own model of the file, planes infinite, from
     all around."""
@@ -73,12 +69,13 @@ def assert_as_mujoco_compiles_it(path):
 
 def test_an_attached_model_keeps_its_mesh(tmp_path):
     """Beside a namesake of the file that attaches it."""
-    (tmp_path / "sub" / "parts").mkdir(parents=True)
+    write(tmp_path, document("robot"), "sub/robot.xml")
+    (tmp_path / "sub" / "parts").mkdir()
     trimesh.creation.torus(1.0, 0.3).export(tmp_path / "sub" / "parts" / "arm.obj")
     trimesh.creation.box((3, 3, 3)).export(tmp_path / "arm.obj")
-    write(tmp_path, ROBOT, "sub/robot.xml")
     for assets in ('<mesh name="other" file="arm.obj"/>', ""):
-        scene = assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets=assets)))
+        path = write(tmp_path, document("attaching").format(assets=assets))
+        scene = assert_as_mujoco_compiles_it(path)
         assert len(scene.assets) == 1
         note = "world.xml: joints (1) stay in their reference position: nothing moves"
         assert scene.notes == (note,)
@@ -89,61 +86,18 @@ def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path):
     trimesh.creation.torus(1.5, 0.4).export(tmp_path / "ring.stl")
     heights = np.random.default_rng(0).random((9, 7)).astype(np.float32)
     (tmp_path / "hill.bin").write_bytes(np.array([9, 7], np.int32).tobytes() + heights.tobytes())
-    path = write(
-        tmp_path,
-        """<mujoco><compiler angle="radian" eulerseq="zyx"/>
-        <default><geom rgba="1 0 0 1"/></default>
-        <asset><mesh name="ring" file="ring.stl" scale="0.7 1.3 1" refpos="0.1 0.2 0.3"/>
-        <hfield name="hill" file="hill.bin" size="3 2 1 0.3"/>
-        <material name="glass" rgba="0 0 0 0"/></asset>
-        <worldbody><geom type="plane" size="1 1 1" pos="0 0 -4" euler="0.1 0.2 0"/>
-        <body pos="1 2 3" euler="0.3 0.4 0.5"><joint type="ball"/>
-        <geom type="capsule" fromto="0 0 0 1 2 1" size="0.3"/>
-        <body pos="-2.123456789 0 0.1" quat="1 2 3 4"><geom type="mesh" mesh="ring"/>
-        <geom type="box" mesh="ring"/></body></body>
-        <geom type="ellipsoid" size="1 2 0.5" pos="-5 0 0" axisangle="1 1 0 0.7"/>
-        <geom type="hfield" hfield="hill" pos="0 -4 0" euler="0.2 0 0"/>
-        <geom name="pane" type="sphere" size="3" pos="0 0 8" material="glass"/>
-        <replicate count="5" offset="1 0 0.1"><geom type="cylinder" size="0.2 1" pos="-2 5 0"/>
-        </replicate>
-        </worldbody></mujoco>""",
-    )
-    scene = assert_as_mujoco_compiles_it(path)
+    scene = assert_as_mujoco_compiles_it(write(tmp_path, document("every_kind")))
     assert scene.unseen == ("pane",)
     screen(scene.mjcf, scene.assets, "what generate archives, verify takes")
 
 
 def test_what_only_dresses_geoms_is_not_needed(tmp_path):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.stl")
-    sides = " ".join(
-        f'file{side}="no.png"' for side in ["right", "left", "up", "down", "front", "back"]
-    )
-    text = f"""<mujoco><compiler strippath="true"/><asset>
-    <mesh name="m" file="/no/such/folder/box.stl"/>
-    <texture name="t" type="cube" {sides}/>
-    <material name="seen" texture="t" rgba="1 1 1 0.5"/>
-    <material name="hidden" texture="t" rgba="1 1 1 0"/></asset>
-    <deformable><skin name="s" file="dog.skn"/></deformable>
-    <worldbody><geom type="mesh" mesh="m" material="seen"/>
-    <geom name="ghost" size="1" material="hidden"/></worldbody></mujoco>"""
-    scene = load_scene(write(tmp_path, text))
+    scene = load_scene(write(tmp_path, document("dressing")))
     assert scene.unseen == ("ghost",)
     note = "world.xml: skins (1) are left out: they dress bodies, and rays do not see them"
     assert scene.notes == (note,)
     assert [name.rpartition("-")[2] for name in scene.assets] == ["m.msh"]
-
-
-DRESSED = """<mujoco model="lamp"><asset>
-<texture name="t" type="2d" builtin="checker" width="8" height="8"/>
-<texture name="c" type="cube" builtin="flat" width="8" height="8"/>
-<material name="m" texture="t"/>
-<material name="layers"><layer texture="t" role="rgb"/><layer texture="c" role="normal"/></material>
-<skin name="s" material="m" vertex="0 0 0 1 0 0 0 1 0" face="0 1 2">
-<bone body="b" bindpos="0 0 0" bindquat="1 0 0 0" vertid="0 1 2" vertweight="1 1 1"/></skin></asset>
-<worldbody><body name="b" pos="0 1 2"><light name="l" texture="t"/>
-<geom type="box" size="1 2 3" material="m"/><site name="site" size="1" material="layers"/></body>
-<replicate count="3" offset="2 0 0"><geom size="0.5" material="layers"/></replicate></worldbody>
-{}</mujoco>"""
 
 
 @pytest.mark.parametrize("dress", ["texture t", "skin s", "material m", "light l"])
@@ -151,11 +105,9 @@ DRESSED = """<mujoco model="lamp"><asset>
 def test_what_refers_to_textures_and_skins_is_valid(tmp_path, name, element, dress):
     """Lights, tuples and sensors, in the file itself and in a model that it attaches."""
     kind, object_name = dress.split()
-    text = DRESSED.format(element.format(type=kind, name=object_name))
-    assert_as_mujoco_compiles_it(write(tmp_path, text))
-    attached = """<mujoco><asset><model name="lamp" file="world.xml"/></asset><worldbody>
-    <geom size="1" pos="9 0 0"/><attach model="lamp" body="b" prefix="x/"/></worldbody></mujoco>"""
-    assert_as_mujoco_compiles_it(write(tmp_path, attached, "attached.xml"))
+    text = document("lamp").format(element.format(type=kind, name=object_name))
+    assert_as_mujoco_compiles_it(write(tmp_path, text, "lamp.xml"))
+    assert_as_mujoco_compiles_it(write(tmp_path, document("attaching_lamp")))
 
 
 def test_memory_beside_geoms_is_not_taken(tmp_path):
@@ -165,28 +117,18 @@ def test_memory_beside_geoms_is_not_taken(tmp_path):
     assert len(compile_world(load_scene(write(tmp_path, text)).mjcf).solids) == 1
 
 
-def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path):
-    text = """<mujoco><extension><plugin plugin="mujoco.pid"/></extension>
-    <compiler settotalmass="3"/><worldbody><body><joint name="j"/><geom size="1"/></body>
-    </worldbody><actuator><plugin joint="j" plugin="mujoco.pid"/></actuator></mujoco>"""
-    (scene,) = read_scenes(write(tmp_path, text), ONE, seed=0).scenes["train"]
+def test_plugins_that_move_things_are_left_out(tmp_path):
+    path = write(tmp_path, document("plugin"))
+    (scene,) = read_scenes(path, ONE, seed=0).scenes["train"]
     screen(scene.mjcf, scene.assets, "taken")
     assert b"plugin" not in scene.mjcf
 
 
 def test_open_meshes_are_noted(tmp_path):
     """Boxes that share an edge are closed."""
-    box, other = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
-    other.apply_translation((2, 2, 0))
-    touching = trimesh.util.concatenate([box, other])
-    touching.merge_vertices()
-    touching.export(tmp_path / "touching.obj")
-    trimesh.Trimesh(box.vertices, box.faces[2:]).export(tmp_path / "open.obj")
-    text = """<mujoco><asset><mesh name="touching" file="touching.obj"/>
-    <mesh name="open" file="open.obj" inertia="shell"/></asset><worldbody>
-    <geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" pos="9 0 0"/></worldbody>
-    </mujoco>"""
-    scene = load_scene(write(tmp_path, text))
+    touching_blocks().export(tmp_path / "touching.obj")
+    punctured_ball().export(tmp_path / "open.obj")
+    scene = load_scene(write(tmp_path, document("meshes")))
     solids = compile_world(scene.mjcf, scene.assets).solids
     assert solids.mesh_filled.tolist() == [True, False]
     (note,) = scene.notes
