@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Fault
-from tests.command_line import example
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
 from tests.refusals import refuses
@@ -132,10 +131,3 @@ def test_noise_sees_what_the_sensor_does(model, data, unseen):
         assert_allclose(light.intensity[0], expected, atol=1e-5)
     first, second = (np.isfinite(its.ranges[0]) for its in observed(Noise.parse("dropout:0.5")))
     assert (first != second)[np.isfinite(hits.ranges).all(axis=0)].any()
-
-
-def test_the_documented_example_runs():
-    names = {}
-    exec(example("simulation.md", "import Lidar, Pose, attach"), names)
-    assert np.isfinite(names["scan"].ranges).sum() > 300
-    assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}

@@ -203,18 +203,6 @@ def test_a_corrected_scan_lies_on_the_walls(turned):
     assert off(Motion(forward_mps=0.0)) < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("motion", "range_m"),
-    [({"forward_mps": 3.0}, 9.7), ({"forward_mps": 0.0, "yaw_rate_deg_s": 300}, 20 / 3**0.5)],
-)
-def test_a_late_ray_is_cast_from_where_the_body_is(motion, range_m):
-    """Rays at 0 and 0.1 s, straight at the wall 10 m ahead."""
-    sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], [1.0, 0, 0, 0.1]]), max_range_m=REACH_M)
-    engine = AnalyticEngine.of(model_of(*ROOM))
-    ranges = observed(cast(engine, sensor, LEVEL), engine, Motion(**motion, poses=10_000)).ranges[0]
-    assert ranges == pytest.approx([10.0, range_m], abs=1e-2)
-
-
 def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them():
     engine = MujocoEngine.of(model_of(wall(0)))
     refuses("grazing", observed, cast(engine, ahead(3), LEVEL), engine, Grazing())

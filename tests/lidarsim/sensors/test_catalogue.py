@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import BeamTable, MujocoEngine, Pose, attach, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.raster import Pinhole
-from lidarsim.sensors.spinning import Rosette, Spinning
+from lidarsim.sensors.spinning import Spinning
 from tests.command_line import rows
 from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
@@ -134,15 +134,6 @@ def test_a_pattern_fills_its_view_without_repeating(name, points_hz, up, wide):
     first, other = cells(1, 0.02), cells(2, 0.02)
     assert len(first & other) < 0.8 * len(first)
     assert first < cells(1, 0.1)
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5])
-def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(share):
-    half = math.radians(20)
-    rosette = Rosette(horizontal_fov_deg=40, vertical_fov_deg=40, second_share=share, window_s=0.4)
-    away = np.arccos(np.clip(rosette.directions_body[:, 0], -1, 1))
-    assert away.max() == pytest.approx(half, rel=1e-3)
-    assert away.min() == pytest.approx((1 - 2 * share) * half, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["realsense-d435", "realsense-d455"])

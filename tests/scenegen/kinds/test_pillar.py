@@ -22,16 +22,6 @@ def gaps(pillars):
     return apart
 
 
-@pytest.mark.parametrize(("is_round", "oblong"), [(0.7, 0.1), (0.2, 0.5), (0.0, 1.0), (1.0, 0.0)])
-def test_sections_come_in_their_shares(is_round, oblong):
-    pillars = draw(Pillar(**MANY, round_share=is_round, oblong_share=oblong))
-    boxes = [pillar.size for pillar in pillars if pillar.shape == Geom.mjGEOM_BOX]
-    rounds = sum(pillar.shape == Geom.mjGEOM_CYLINDER for pillar in pillars)
-    assert rounds + len(boxes) == len(pillars)
-    assert looks_like_share(rounds, len(pillars), is_round)
-    assert looks_like_share(sum(x != y for x, y, _ in boxes), len(pillars), oblong)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6, 1.0])
 def test_passages_come_in_their_share(share):
     """Set beside one that is itself set beside another, and so on, each passage is exactly as wide

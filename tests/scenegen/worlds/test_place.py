@@ -145,12 +145,9 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
     assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.8
     iou = {name: row["iou"]["mean"] for name, row in report["reconstruction"]["scene"].items()}
     assert iou["extrude"] < iou["truth"] == 1.0
-    about = report["datasets"]["scene"]
     known = np.mean([sample.known for sample in scenegen.load(dataset, split="train")])
-    assert about["known_share"] == pytest.approx(known)
-    assert about["note"].startswith(f"{100 * about['known_share']:.1f} % of the grid is known")
-    for text in (printed, (out / "report.md").read_text(), (out / "report.html").read_text()):
-        assert about["note"] in text
+    assert report["datasets"]["scene"]["known_share"] == pytest.approx(known)
+    assert f"{100 * known:.1f} % of the grid is known" in printed
     assert run(capsys, f"bench {dataset} --reliability -o {out}")[0] == 1
 
 
