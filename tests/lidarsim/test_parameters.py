@@ -52,7 +52,7 @@ TAKEN = [
     ("place_m", (4.0, 2.0), (4.0, 2.0)),
     ("edges_m", [], ()),
     ("limit", None, None),
-    ("mount", "band", "band"),
+    ("mount", np.str_("band"), "band"),
     ("spin", False, False),
     ("anything", {"a": 1}, {"a": 1}),
 ]
