@@ -109,6 +109,7 @@ def test_arrays_of_few_points_are_asked_about(tmp_path):
     path, square = tmp_path / "scan.npy", RNG.normal(size=(4, 4))
     np.save(path, square)
     refuses("square", read_cloud, path)
+    assert_array_equal(read_cloud(path, columns=4).points, square[:, :3])
     np.save(path, square[:3])
     assert_array_equal(read_cloud(path, columns=3).points, square[:3].T)
     assert_array_equal(read_cloud(path, columns=4).points, square[:3, :3])

@@ -2,11 +2,13 @@
 recipe's own formulas."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from scenegen.worlds.drawing import Drawing
 
@@ -21,6 +23,19 @@ class Solid:
     size: NDArray[np.float64]
     position: NDArray[np.float64]
     quaternion: NDArray[np.float64]
+
+    @cached_property
+    def span(self):
+        """Its lowest and highest z, by its support function."""
+        radius, half, _ = self.size
+        turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        *level, up = np.abs(turn[2])
+        reach = {
+            Geom.mjGEOM_SPHERE: radius,
+            Geom.mjGEOM_BOX: self.size @ [*level, up],
+            Geom.mjGEOM_CYLINDER: radius * np.hypot(*level) + half * up,
+        }[self.shape]
+        return self.position[2] - reach, self.position[2] + reach
 
 
 def draw(kind, seed=0):
