@@ -114,6 +114,8 @@ class Bare(Shift):
     def apply(self, returns, view, *, rng): return returns.ranges
 class Empty(Shift):
     def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[:0])
+class Single(Shift):
+    def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[0])
 class Without(Shift):
     def bound_m(self, max_range_m): return None
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +126,7 @@ class Ranked(Shift):
 
 def test_a_stage_of_ones_own(standing):
     (standing / "my_noise.py").write_text(OWN)
-    wrong = "Shift:9.5,range:0 Ranked:0:5 Signed Bare Empty Without Boundless"
+    wrong = "Shift:9.5,range:0 Ranked:0:5 Signed Bare Single Empty Without Boundless"
     for text in wrong.split():
         refuses(text, noisy, f"my_noise:{text}")
     text = "my_noise:Shift:-0.5, range:0"
