@@ -100,8 +100,8 @@ class Completer:
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
-            run, file = load_onnx(path, threads=threads, own=own)
-            grid, about, inputs = file.grid, file.about, file.config.inputs
+            run, file = load_onnx(path, threads=threads, trusted=own)
+            grid, about, inputs = file.grid, file.metadata, file.config.inputs
             targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)

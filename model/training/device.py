@@ -14,7 +14,7 @@ from lidarsim import GridSpec
 from scenegen.base.errors import ScenegenError
 from scenegen.base.executors import processor
 from scenegen.model.config import LEVELS
-from scenegen.model.losses import at_least_one
+from scenegen.model.losses import local_divisor
 from scenegen.model.network import prefers_bfloat16
 
 FEWEST_CELLS = 32
@@ -141,9 +141,9 @@ class Group:
         """What each process divides a sum over its `count` things by, so that the mean of all
         processes' quotients is the mean over all things: 1 at least, shared among the processes."""
         if self.size == 1:
-            return at_least_one(count)
+            return local_divisor(count)
         dist.all_reduce(total := count.clone())
-        return at_least_one(total) / self.size
+        return local_divisor(total) / self.size
 
     def gather(self, mine: Any) -> list[Any]:
         """What every process gives, in order."""

@@ -271,9 +271,9 @@ def export(weights: str, out: Path | None) -> None:
     from scenegen.model.completion.completer import open_network
     from scenegen.model.onnx import export_onnx
 
-    network, grid, about = open_network(weights)
+    network, grid, metadata = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
-    export_onnx(network, grid, out, about=about)
+    export_onnx(network, grid, out, metadata=metadata)
     echo(f"written: {out}")
 
 
