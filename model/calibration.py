@@ -129,7 +129,7 @@ def away_of(denied: Any, levels: Sequence[float]) -> Floats:
 
 
 def familiar(away: Any) -> Floats:
-    """Power of the temperature by how unfamiliar maps are, (...): 1 for familiar ones, falling to 0.
+    """Power of the temperature for maps, (...): 1 for familiar ones, 0 for unfamiliar ones.
 
     The temperature is valid only for familiar maps. In real places, probabilities that were
     calibrated in generated worlds are too sure (docs/uncertainty.md).

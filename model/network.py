@@ -141,7 +141,7 @@ def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
 
 
 def prefers_bfloat16() -> bool:
-    """Whether this processor is faster in bfloat16 than in float32: with AMX, or AMD's with AVX-512.
+    """Whether this processor is faster in bfloat16 than in float32: with AMX, or AMD with AVX-512.
 
     On an Intel Xeon with AVX-512 but without AMX, bfloat16 takes 1.4 times as long (docs/log).
     """
