@@ -113,6 +113,7 @@ def bench(
     """
     config = BenchConfig(**settings)
     rows = rows_of(
+        # objects are checked now, not in a worker process
         [
             method if isinstance(method, str | Completer) else Completed(method)
             for method in _listed(methods)

@@ -130,11 +130,12 @@ def card(name: str, metadata: Json) -> str:
     outputs = [output for task, output in OUTPUTS.items() if variant and task in variant.tasks]
     outputs += [target_name(name) for name in network.get("targets", ())]
     gives = f" and gives {' and '.join(outputs)}" if outputs else ""
+    # only runs with weights have shares; then one for each dataset
     shares = [f" (weight {share})" for share in settings.get("shares", ())]
     sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")
     data = ", ".join(f"{kind} {digest[:16]}…{share}" for kind, digest, share in sources)
     amount = f"{samples} samples: datasets"
-    if samples is None:
+    if samples is None:  # `describe` counts the samples of datasets only
         amount = "samples of which each was seen once: stream"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["versions"].items())
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")

@@ -120,6 +120,7 @@ def opened(names: Any, split: str) -> list[Samples]:
     """
     if isinstance(names, Mapping):
         names = names.items()
+    # of a mapping or of pairs, each entry has a weight; of names, none has
     parts = [entry if isinstance(entry, tuple) else (entry, None) for entry in names]
     datasets = [open_data(name) for name, _ in parts]
     check_together([part for dataset in datasets for part in dataset.datasets])
@@ -145,7 +146,8 @@ class Maps(Dataset):
 
     Raises:
         DatasetError: if there is no source, if two differ in their grid or hold the same samples,
-            or if a weight is invalid.
+            or if a weight is so small that no map of its source comes in a pass.
+        RecipeError: if a weight is not a number above 0.
     """
 
     def __init__(
@@ -194,7 +196,9 @@ class Maps(Dataset):
         index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
+        # samples of a mixture may differ in their sensor
         sensor = getattr(sample, "lidar", None) or source.lidar
+        # `points_of` gives None for maps of several scans, which are shown as they are
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
         truth = {name: true_map(name, sample, source.grid) for name in self.targets}
@@ -205,6 +209,7 @@ class Maps(Dataset):
             maps["certain"] = truth["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         batch = {name: turned(values, turn) for name, values in maps.items()}
+        # vectors of a user's own target must turn, too, not only their places
         for name, values in truth.items():
             batch[target_name(name)] = target_called(name).turned(values, turn)
         return {name: torch.from_numpy(values) for name, values in batch.items()}
@@ -374,6 +379,7 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
+            # three numbers, so that these draws are independent of those of epochs, which have one
             order = rng_of(seed, number, turn, 0).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
         orders.append(maps.starts[number] + np.concatenate(drawn))

@@ -128,6 +128,7 @@ class RunFolder:
             ) from None
         except OSError:  # a file system without locks
             pass
+        # with the lock, no other process can be writing them
         remove_temp_files(self.path)
         config = self.path / CONFIG
         if config.exists():
@@ -202,6 +203,7 @@ class RunFolder:
             DatasetError: if the disk refuses.
         """
         rows, by = progress.rows, f"val_{choose}"
+        # The state comes last: a kill before it repeats the round, with the same files as result.
         if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
             header = {**metadata, "figures": rows[-1]}
             save_network(self.path / BEST, network, grid, header)
@@ -301,6 +303,7 @@ def run_facts(folder: Path) -> Json:
         CheckpointError: if its network is damaged.
     """
     run, rows = RunFolder(folder), read_rows(folder / ROWS)
+    # a copied folder may lack the network
     settings, best = run.settings(), run.best() or min(rows, key=lambda row: row["val_loss"])
     network = settings["network"]
     return {
