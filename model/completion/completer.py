@@ -392,7 +392,7 @@ def _fetch(name: str) -> Path:
     except ImportError:
         raise CheckpointError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
     try:
-        with client_output(shown=False):
+        with client_output(show_progress=False):
             return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
         raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

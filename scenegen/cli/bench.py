@@ -22,13 +22,13 @@ from scenegen.cli.options import (
     command,
     datasets_argument,
     executing,
+    fields_in,
     find_datasets,
     group,
     options_of,
     out_option,
     printing,
     split_option,
-    taken,
     together,
 )
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, info, show_columns
@@ -84,7 +84,7 @@ class NamedWeights(Weights):
 
 MAX_TRIAL = 10_000
 
-shown_options = together(
+prediction_options = together(
     click.option(
         "--predictions",
         type=FILE,
@@ -206,16 +206,16 @@ def bench(
 
     if verbose:
         announce_compilation()
-    measured = find_datasets(datasets, shown=verbose)
+    measured = find_datasets(datasets, show_progress=verbose)
     for name in REPORTS:
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
-    plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
+    plan = PlanConfig(**{name: options.pop(name) for name in fields_in(PlanConfig, options)})
     config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
     for dataset, method in product(measured if verbose else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             info(f"note: {dataset.name}: {warning}")
-    with Progress("bench", shown=verbose) as progress:
+    with Progress("bench", visible=verbose) as progress:
         results = bench_all(
             measured,
             methods,
@@ -248,7 +248,7 @@ def show_tables(report: Json) -> None:
     from scenegen.model.bench.report import notes, tables, trial_counts
     from scenegen.model.bench.statistics import threshold
 
-    for kind, about in report["datasets"].items():
+    for kind, facts in report["datasets"].items():
         for table, names, rows, _ in tables(report, kind):
             cells = {
                 method: [
@@ -258,8 +258,8 @@ def show_tables(report: Json) -> None:
                 for method, row in rows.items()
             }
             show_columns(cells, list(names), f"{kind}, {table}")
-        echo(f"{kind}: {trial_counts(about)}")
-        for line in notes(about):
+        echo(f"{kind}: {trial_counts(facts)}")
+        for line in notes(facts):
             echo(f"note: {kind}: {line}")
 
 
@@ -319,11 +319,11 @@ def calibrate(
     make_parent(out)
     if verbose:
         announce_compilation()
-    folders = find_datasets(datasets, shown=verbose)
-    with Progress("calibrate", shown=verbose) as progress:
-        found = fit(
+    folders = find_datasets(datasets, show_progress=verbose)
+    with Progress("calibrate", visible=verbose) as progress:
+        calibration = fit(
             weights, folders, out, **options, on_start=progress.start, on_done=progress.count
         )
-    if report_result(asdict(found)):
-        echo(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
+    if report_result(asdict(calibration)):
+        echo(f"{calibration.worlds} worlds: temperature {calibration.temperature:.3f}")
         echo(f"written: {out}")

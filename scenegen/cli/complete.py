@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 COMPLETIONS = "completions.json"
 """The file of a folder of completions that says of which scans they are, and whose."""
-MAX_SHOWN = 24
+MAX_LOOKS = 24
 """Completions on the page of a folder or a log, evenly spread."""
 
 
@@ -129,7 +129,7 @@ def complete(
     elsewhere = was_given("on") or was_given("workers")
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
-    path = locate(source, shown=not quiet)
+    path = locate(source, show_progress=not quiet)
     check_type(path, *DATA, "log", "scans", "map", "scan")
     name = type_of(path)
     if name == "map":
@@ -143,8 +143,8 @@ def complete(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     logged = not stored and (name == "log" or log_reading["poses"] is not None)
-    if not logged and (given := [name for name, value in log_reading.items() if value]):
-        raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
+    if not logged and (unused := [name for name, value in log_reading.items() if value]):
+        raise DatasetError(f"{path}: is no log; leave out --{unused[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
     # which may refuse what is there at once
     tasks = tasks_of(path, sensor, every, columns, **log_reading) if several else None
@@ -155,9 +155,9 @@ def complete(
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         options = {"sensor": sensor, "columns": columns, **log_reading}
-        about = {name: str(value) for name, value in options.items() if value is not None}
-        about |= {"source": str(real_path(path)), "weights": completer.digest}
-        claim(out, COMPLETIONS, about)
+        identity = {name: str(value) for name, value in options.items() if value is not None}
+        identity |= {"source": str(real_path(path)), "weights": completer.digest}
+        claim(out, COMPLETIONS, identity)
         complete_scans(completer, tasks[0], tasks[1], out, quiet)
         return
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
@@ -189,7 +189,7 @@ def _complete_split(
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
-    with Progress("complete", shown=not quiet) as progress:
+    with Progress("complete", visible=not quiet) as progress:
         away, damaged = predict_split(
             completer,
             dataset,
@@ -233,7 +233,7 @@ def complete_scans(
     from scenegen.view.page import page
 
     reports, completions, failed = list[Any](), list[Path](), 0
-    with Progress("complete", shown=not quiet) as progress:
+    with Progress("complete", visible=not quiet) as progress:
         progress.start(count)
         for name, read in scans:
             target = out / f"{name}.h5"
@@ -253,7 +253,7 @@ def complete_scans(
                 completions.append(target)
             progress.count(1)
     if completions:
-        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_SHOWN)]
+        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_LOOKS)]
         known = any("occupancy" in look.masks for look in looks)
         notes = ["Where the log knows nothing, predictions are not shown."] * known
         write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())

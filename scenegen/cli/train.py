@@ -17,12 +17,12 @@ from scenegen.cli.bench import Weights
 from scenegen.cli.options import (
     command,
     device_option,
+    fields_in,
     find_datasets,
     group,
     options_of,
     out_option,
     printing,
-    taken,
     was_given,
 )
 from scenegen.cli.show import Progress, Reporter, curve, echo
@@ -228,17 +228,17 @@ def train(
     out = out or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
-    with Progress(config.network.variant, shown=verbose) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, streams, stream_seed, val_maps, verbose)
+    with Progress(config.network.variant, visible=verbose) as progress, stops.noted() as stop:
+        training, validation = _samples(datasets, streams, stream_seed, val_maps, verbose)
         chosen = choose_device(device)
         if workers is None:
             workers = (
                 0 if chosen.type == "cpu" else min(MAX_LOADERS, 1 << (cores().bit_length() - 1))
             )
-        shown = _Shown(config.network.variant, progress, verbose)
+        display = _Display(config.network.variant, progress, verbose)
         rows = run(
             training,
-            checking,
+            validation,
             config,
             out,
             device=str(chosen),
@@ -246,7 +246,10 @@ def train(
             command=shlex.join(["scenegen", *sys.argv[1:]]),
             weights=weights,
             watcher=Watcher(
-                on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop
+                on_start=display.on_start,
+                on_step=display.on_step,
+                on_epoch=display.on_epoch,
+                stop=stop,
             ),
         )
     best = RunFolder(out).best() or rows[-1]
@@ -254,7 +257,7 @@ def train(
     summary = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
     if not (first and report_result(summary)):
         return
-    if not shown.begun:
+    if not display.begun:
         echo(f"{out}: this run is complete already; give another --out for another one")
     curves = {"loss": "val_loss", "IoU": "val_iou", "IoU, best threshold": "val_best_iou"}
     for name, column in curves.items() if len(rows) > 1 else ():
@@ -285,7 +288,7 @@ def _samples(
             raise click.UsageError(
                 "--stream-seed and --val-maps are a stream's; name one, such as --stream pillar"
             )
-        folders = find_datasets(names, shown=verbose)
+        folders = find_datasets(names, show_progress=verbose)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
     if datasets and count is not None:
@@ -298,7 +301,7 @@ def _samples(
             raise click.UsageError(
                 "with --stream, datasets validate, and have no weights; give those of --stream"
             )
-        return training, opened(find_datasets(names, shown=verbose), "val")
+        return training, opened(find_datasets(names, show_progress=verbose), "val")
     return training, [stream(streams, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
@@ -308,25 +311,27 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
     from scenegen.model.checkpoint import check_own
     from scenegen.model.completion.completer import open_network
 
-    if conflicts := [name for name in taken(NetworkConfig, options) if was_given(name)]:
+    if conflicts := [name for name in fields_in(NetworkConfig, options) if was_given(name)]:
         raise click.UsageError(
             f"--weights brings its network; leave out what else says of one: {', '.join(conflicts)}"
         )
-    network, _, about = open_network(weights)
+    network, _, metadata = open_network(weights)
     try:
-        known_terms = taken(LossConfig, about["settings"]["loss"])  # other versions may have others
+        known_terms = fields_in(
+            LossConfig, metadata["settings"]["loss"]
+        )  # other versions may have others
         loss = vars(LossConfig(**known_terms))
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     loss = {
         name: value for name, value in loss.items() if name not in options or not was_given(name)
     }
-    own, plain = split_own(weights)
-    check_own(plain, own, loss.get("objective", ""))
+    trusted, plain = split_own(weights)
+    check_own(plain, trusted, loss.get("objective", ""))
     options |= vars(network.config) | loss
 
 
-class _Shown:
+class _Display:
     """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
     an epoch."""
 
@@ -334,9 +339,9 @@ class _Shown:
         self._variant, self._progress, self._talk = variant, progress, verbose
         self._recent, self._iou, self.begun = 0.0, "", False
 
-    def on_start(self, epoch: int, total: int, done: int) -> None:
+    def on_start(self, epoch: int, total: int, finished: int) -> None:
         self.begun = True
-        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, done)
+        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, finished)
 
     def on_step(self, maps: int, loss: float) -> None:
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
