@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 COMPLETIONS = "completions.json"
-"""The file of a folder of completions that says of which scans they are, and whose."""
+"""File in a folder of completions that records their scans and their network."""
 MAX_LOOKS = 24
 """Completions on the page of a folder or a log, evenly spread."""
 
@@ -113,6 +113,26 @@ def complete(
     where there are several. Given a dataset again after a stop, it goes on where
     it was. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
+
+    \f
+    Args:
+        source: A dataset, a scan, a folder of scans, or a log.
+        weights: Name of the network.
+        split: Split of a dataset.
+        out: File or folder to write; see --out for the default.
+        device: Device of the network.
+        batch: Maps that are completed at once.
+        workers: Number of processes, with --workers or --on.
+        on: Machines that complete, with --on.
+        quiet: Whether nothing but errors is printed.
+        sensor: Position of a scan's sensor, metres.
+        every: Complete every n-th scan of a folder or a log.
+        columns: Number of columns of .bin files, or None.
+        log_reading: Options that read logs.
+
+    Raises:
+        ScenegenError: if the source or the network is missing, damaged, or does not fit, or if the
+            disk refuses.
     """
     from scenegen.dataset.collection import open_data
     from scenegen.dataset.locate import locate
@@ -146,7 +166,7 @@ def complete(
     if not logged and (unused := [name for name, value in log_reading.items() if value]):
         raise DatasetError(f"{path}: is no log; leave out --{unused[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
-    # which may refuse what is there at once
+    # before the network is opened, since this may refuse the source at once
     tasks = tasks_of(path, sensor, every, columns, **log_reading) if several else None
     if tasks and tasks[2] and not quiet:
         info(tasks[2])
@@ -182,8 +202,8 @@ def _complete_split(
     execute: Executor | None,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split into the folder `out`, and say where its maps are unlike those of
-    training. Raises DatasetError where `out` is called as a file."""
+    """Complete a dataset's split into the folder `out`, and note differences from the training.
+    Raises DatasetError if `out` is the name of a file."""
     if out.suffix == ".h5":
         raise DatasetError(f"{out}: a dataset's predictions are a folder; give a name without .h5")
     from scenegen.model.calibration import UNUSUAL
@@ -204,7 +224,7 @@ def _complete_split(
     for warning in () if quiet else completer.unlike(dataset.settings):
         info(f"note: {warning}")
     far = sum(share >= UNUSUAL for share in away)
-    if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
+    if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # half of this is expected
         info(
             f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
@@ -215,11 +235,20 @@ def _complete_split(
 def complete_scans(
     completer: "Completer", count: int, scans: "Iterable[Task]", out: Path, quiet: bool
 ) -> None:
-    """Complete `count` scans into files of their names in the folder `out`, and write a page of
-    some.
+    """Complete scans into files of a folder, and write a page that shows some of them.
 
-    Those that are there, as they were written, are passed over. Raises DiskError at once, and
-    DatasetError at the end where some could not be completed.
+    Intact files of an earlier run are not written again.
+
+    Args:
+        completer: The network.
+        count: Number of scans.
+        scans: The scans, each with a name and a function that reads it.
+        out: The folder; each scan becomes NAME.h5.
+        quiet: Whether nothing but errors is printed.
+
+    Raises:
+        DiskError: if the disk refuses; at once.
+        DatasetError: if scans could not be completed; after all others were.
     """
     from scenegen.model.completion.scans import (
         about_scan,
