@@ -230,11 +230,11 @@ class Component(Units):
         return sha256_of(json.dumps(self.described(), sort_keys=True).encode())
 
 
-def component_of(source: Any, *, seed: int, split: str, engine: str) -> Component:
+def component_of(entry: Any, *, seed: int, split: str, engine: str) -> Component:
     """Make a component.
 
     Args:
-        source: Name of a kind, or ``module:Class`` of a user's own; a recipe or its TOML file; an
+        entry: Name of a kind, or ``module:Class`` of a user's own; a recipe or its TOML file; an
             MJCF file or a folder of them, divided among the splits as `generate` does; a Component
             is returned unchanged.
         seed: Seed of the component.
@@ -242,23 +242,21 @@ def component_of(source: Any, *, seed: int, split: str, engine: str) -> Componen
         engine: Name of the engine that casts rays.
 
     Raises:
-        RecipeError: if `source` is none of these, or the recipe is invalid.
+        RecipeError: if `entry` is none of these, or the recipe is invalid.
         SceneError: if a file cannot be used as a world.
         DatasetError: if there is no such split or engine.
     """
-    if isinstance(source, Component):
-        return source
+    if isinstance(entry, Component):
+        return entry
     source: SceneWorlds | None = None
-    if isinstance(source, Recipe):
-        label, recipe = graded(source.kind, source.difficulty), source
-    elif isinstance(source, str | Path):
-        label, path = str(source), Path(source)
-        is_file = (
-            isinstance(source, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
-        )
-        is_own = isinstance(source, str) and ":" in source and not path.exists()
+    if isinstance(entry, Recipe):
+        label, recipe = graded(entry.kind, entry.difficulty), entry
+    elif isinstance(entry, str | Path):
+        label, path = str(entry), Path(entry)
+        is_file = isinstance(entry, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
+        is_own = isinstance(entry, str) and ":" in entry and not path.exists()
         # a kind takes precedence over a file of the same name
-        if source in KINDS.builtin or is_own or not is_file:
+        if entry in KINDS.builtin or is_own or not is_file:
             recipe = preset(label)
         elif path.suffix == ".toml":
             recipe = read_recipe(path)
@@ -267,7 +265,7 @@ def component_of(source: Any, *, seed: int, split: str, engine: str) -> Componen
             recipe = source.suited(preset("scene"))
     else:
         raise RecipeError(
-            f"stream of {short_repr(source)}: expected a kind's name, a recipe or its file, an "
+            f"stream of {short_repr(entry)}: expected a kind's name, a recipe or its file, an "
             "MJCF file "
             f"or a folder of them"
         )
