@@ -87,8 +87,14 @@ def begins(ending: str, pattern: str) -> Test:
 
 
 def names(ending: str, word: str) -> Test:
-    """A test for files by the end of their names and a string of JSON that they hold, anywhere:
-    other programs write keys in another order."""
+    """Make a test for files by their ending and a string of JSON anywhere in them.
+
+    A test of the first bytes would not do, since other programs write keys in another order.
+
+    Args:
+        ending: The ending, such as ".json".
+        word: The string, without quotes.
+    """
 
     def test(path: Path) -> bool:
         is_read = path.suffix == ending and path.is_file()  # a pipe would never end

@@ -10,7 +10,7 @@ import rich_click as click
 from scenegen.base.files import Json, write_result
 from scenegen.base.paths import function_for, type_of
 from scenegen.cli import stops
-from scenegen.cli.bench import chosen, shown_options
+from scenegen.cli.bench import chosen, prediction_options
 from scenegen.cli.options import (
     columns_option,
     command,
@@ -105,8 +105,8 @@ def inspect(
         else:
             show_table(plain(facts))
         return
-    opened = open_dataset(dataset, shown=not as_json)
-    with Progress("inspect", shown=(measure_all or keep) and not as_json) as progress:
+    opened = open_dataset(dataset, show_progress=not as_json)
+    with Progress("inspect", visible=(measure_all or keep) and not as_json) as progress:
         summary = examine(
             opened,
             most=None if measure_all else MAX_MEASURED,
@@ -258,7 +258,7 @@ def _show_split(name: str, split: Json) -> None:
     help="Port to serve on; 0 for any free one.",
 )
 @quiet_option
-@shown_options
+@prediction_options
 @group("What is shown", "split index n html")
 @group("In a browser", "host port")
 def view(
@@ -295,7 +295,7 @@ def view(
         if not quiet:
             echo(f"{out}: open it in a browser")
         return
-    source = open_dataset(dataset, shown=not quiet)
+    source = open_dataset(dataset, show_progress=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
     # predictions name samples by their number in one dataset
     if out is None and len(opened) > 1 and predicting["predictions"] is not None:
