@@ -289,6 +289,8 @@ def view(
             "--index: give one to begin with, or --html for a file of several samples"
         )
     if type_of(dataset) not in (None, *DATA):
+        if flags := flags_given(("split", "indices", "count", *predicting)):
+            raise click.UsageError(f"{flags[0]}: is for datasets; leave it out")
         _show_path(dataset, out, host, port, quiet)
         return
     source = open_dataset(dataset, shown=not quiet)
@@ -319,16 +321,11 @@ def _show_path(path: Path | str, out: Path | None, host: str, port: int, quiet: 
     """Show anything but a dataset: write its page, or serve it.
 
     Raises:
-        UsageError: An option is for datasets.
         ScenegenError: The path cannot be shown, or the address cannot be served on.
     """
     from scenegen.view.notebook import page_of
     from scenegen.view.page import PageServer
 
-    serving = {"dataset", "out", "host", "port", "quiet"}
-    names = click.get_current_context().params.keys() - serving
-    if flags := flags_given(names):
-        raise click.UsageError(f"{flags[0]}: is for datasets; leave it out")
     page = page_of(str(path))
     for line in dict.fromkeys(line for look in page.looks for line in look.missing):
         info(line)

@@ -196,7 +196,8 @@ def box_around(low: Floats, high: Floats) -> tuple[GridSpec, Floats]:
     extent = np.maximum(high - low, 1e-3)
     for edge in EDGES_M:
         # one more than needed: a point on the upper face lies in the voxel beyond it
-        shape = tuple(int(count) for count in np.floor(extent / edge) + 1)
+        x, y, z = (int(count) for count in np.floor(extent / edge) + 1)
+        shape = (x, y, z)
         if math.prod(shape) <= MAX_CELLS and max(shape) <= MAX_EDGE:
             break
     else:
