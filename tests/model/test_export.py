@@ -41,7 +41,7 @@ def export(folder):
     """Such a network as a checkpoint, and as ONNX."""
     network = trained(variant="columns", inputs=("observed", "free"))
     save_network(folder / "net.safetensors", network, GRID, {})
-    export_onnx(network, GRID, folder / "net.onnx", about={"seed": 0})
+    export_onnx(network, GRID, folder / "net.onnx", metadata={"seed": 0})
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_runtimes_agree_with_torch(exported, runtime):
     processor has it."""
     path, network = exported
     forward, held = load_onnx(path, runtime=runtime, threads=1)
-    assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
+    assert (held.grid, held.metadata, held.config) == (GRID, {"seed": 0}, network.config)
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     for batch in (1, 3, 1):
         maps = seen(batch)
@@ -99,7 +99,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_other_names_are_refused(exported, tmp_path):
-    more = {"about": {}, "error": CheckpointError}
+    more = {"metadata": {}, "error": CheckpointError}
     refuses("net.pt", export_onnx, exported[1], GRID, tmp_path / "net.pt", **more)
 
 
