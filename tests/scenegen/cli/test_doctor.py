@@ -49,14 +49,14 @@ BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_rang
 
 
 def test_a_fit_machine_is_found_fit(monkeypatch):
-    asked = spoil(monkeypatch, lambda number, sample: sample)
-    found = doctor.examine()
-    test = found["self_test"]
-    assert found["ok"] is test["repeatable"] is test["returns_occupied"] is True
-    assert asked == [0, 0, *range(len(asked) - 2)]  # the same unit twice, then one after the other
-    assert test["samples"] == 5 * (len(asked) - 2) > 0
+    units = spoil(monkeypatch, lambda number, sample: sample)
+    report = doctor.examine()
+    test = report["self_test"]
+    assert report["ok"] is test["repeatable"] is test["returns_occupied"] is True
+    assert units == [0, 0, *range(len(units) - 2)]  # the same unit twice, then one after the other
+    assert test["samples"] == 5 * (len(units) - 2) > 0
     assert test["samples_per_second_per_core"] > 0
-    json.dumps(found, allow_nan=False)
+    json.dumps(report, allow_nan=False)
 
 
 @pytest.mark.parametrize("law", BROKEN)

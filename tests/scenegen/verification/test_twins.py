@@ -4,6 +4,7 @@ so."""
 import itertools
 
 import numpy as np
+import pytest
 
 from scenegen.verification.splits import (
     OBSERVED_IOU,
@@ -52,13 +53,8 @@ def test_a_floor_alone_makes_no_twins():
     assert standing_overlap(one, other) < 0.1
 
 
-def test_empty_maps_are_no_twins():
-    empty = np.zeros((4, 320), np.int32), np.zeros((4, 320), np.int32)
-    found, complete = candidates(*empty, np.array([0, 1, 2, 0]))
-    assert (len(found), complete) == (0, True)
-
-
-def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all():
-    same = np.ones((600, 320), np.int32), np.ones((600, 320), np.int32)
-    found, complete = candidates(*same, np.arange(600) % 3)
-    assert (len(found), complete) == (5000, False)
+@pytest.mark.parametrize(("value", "count", "pairs"), [(0, 4, 0), (1, 600, 5000)])
+def test_equal_maps_are_no_twins_if_empty_and_else_not_all_compared(value, count, pairs):
+    same = np.full((count, 320), value, np.int32)
+    found, complete = candidates(same, same, np.arange(count) % 3)
+    assert (len(found), complete) == (pairs, not value)

@@ -3,9 +3,8 @@
 import io
 import re
 import sys
-from dataclasses import make_dataclass
+from collections import namedtuple
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.dataset.read import Dataset
-from tests.command_line import ROOT
+from tests.command_line import page
 
-PAGE = (ROOT / "docs" / "convert.md").read_text(encoding="utf-8")
-BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", page("convert.md"), re.M | re.S)
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
@@ -45,11 +43,10 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
 
     from scenegen.logs.bags import CLOUD, DEFINITIONS
 
-    sent = []
-    kinds = {}
+    sent, kinds = [], {}
     for text in f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]:
         name, *fields = re.findall(r"^\S+[/ ](\w+)$", text, re.M)
-        kinds[name] = make_dataclass(name, [(field, Any, None) for field in fields])
+        kinds[name] = namedtuple(name, fields, defaults=[None] * len(fields))
     now = SimpleNamespace(to_msg=lambda: kinds["Time"](sec=7, nanosec=5))
     node = SimpleNamespace(
         get_clock=lambda: SimpleNamespace(now=lambda: now),
@@ -57,10 +54,10 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
         create_timer=lambda period, call: call(),
     )
     rclpy = {"init": lambda: None, "create_node": lambda name: node, "spin": lambda node: None}
-    messages = {f"{name}.msg": kinds for name in ("sensor_msgs", "std_msgs")}
-    for name, held in {"rclpy": rclpy, "sensor_msgs": {}, "std_msgs": {}, **messages}.items():
+    packages = dict.fromkeys(("sensor_msgs", "std_msgs", "sensor_msgs.msg", "std_msgs.msg"), kinds)
+    for name, attributes in (packages | {"rclpy": rclpy}).items():
         module = ModuleType(name)
-        module.__dict__.update(held)
+        module.__dict__.update(attributes)
         monkeypatch.setitem(sys.modules, name, module)
     (tmp_path / "scene.xml").write_text(SCENE)
     monkeypatch.setattr(sys, "argv", ["node.py", str(tmp_path / "scene.xml"), "robot"])
@@ -71,5 +68,4 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
     points = np.frombuffer(sent[0].data, "<f4").reshape(-1, 3)
     assert (sent[0].header.stamp.sec, sent[0].header.frame_id) == (7, "lidar")
     ranges = names["lidar"].scan(names["data"]).ranges
-    ranges = ranges[np.isfinite(ranges)]
-    assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)
+    assert_allclose(np.linalg.norm(points, axis=1), ranges[np.isfinite(ranges)], rtol=1e-6)
