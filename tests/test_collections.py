@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from scenegen.dataset.collection import open_data
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
@@ -53,21 +52,7 @@ def test_every_command_takes_it(here, capsys, words, data):
     done(capsys, words.replace("DATA", data))
 
 
-@pytest.mark.parametrize("data", ["both", "few.json"])
-def test_worlds_are_numbered_through(here, capsys, data):
-    """Each dataset has two worlds to train with."""
-    done(capsys, f"world {data} 3 --split train -o w.xml")
-    done(capsys, "world both/b 1 --split train -o own.xml")
-    assert (here / "w.xml").read_bytes() == (here / "own.xml").read_bytes()
-
-
 def test_measures_are_kept_beside_one_dataset(here, capsys):
     before = contents(here / "both")
     refuses_command(capsys, "inspect few.json --keep --json")
     assert contents(here / "both") == before
-
-
-def test_a_selection_of_a_selection_is_read(here, capsys):
-    done(capsys, "take few.json --split test --n 3 -o fewer.json")
-    fewer, few = (open_data(name).split("test") for name in ("fewer.json", "few.json"))
-    assert [sample.sha256() for sample in fewer] == [sample.sha256() for sample in few[:3]]

@@ -77,37 +77,34 @@ def other_shape(file, name, random):
     return f"of shape {other.shape}", REFUSED
 
 
+LAYOUTS = (
+    {"chunks": None},
+    {"shuffle": True},
+    {"compression": "lzf"},
+    {"compression": "gzip", "fletcher32": True},
+    {"maxshape": True},
+)
+
+
 def other_layout(file, name, random):
     """Other chunks or filters, which HDF5 itself undoes."""
-    old = taken(file, name)
-    shape = old.shape
-    options = random.choice(
-        (
-            {},
-            {"chunks": shape},
-            {"chunks": (1, *(max(1, n // 2) for n in shape[1:]))},
-            {"chunks": (1 << 8, *shape[1:]), "maxshape": (None, *shape[1:])},
-            {"chunks": (1, *shape[1:]), "shuffle": True},
-            {"chunks": (1, *shape[1:]), "compression": "lzf"},
-            {"chunks": (1, *shape[1:]), "compression": "gzip", "fletcher32": True},
-        )
-    )
-    file.create_dataset(name, data=old, **options)
+    values, options = taken(file, name), dict(random.choice(LAYOUTS))
+    if options.pop("maxshape", False):
+        options["maxshape"] = (None, *values.shape[1:])
+    file.create_dataset(name, data=values, **{"chunks": (1, *values.shape[1:])} | options)
     return f"laid out by {options}", SAME
 
 
 def number(file, name, random):
-    """Other numbers, in place."""
+    """Another number, in place."""
     data = file[name]
-    if data.dtype == np.bool_:
-        data[0] = ~data[0]
-        return "inverted", VALID
+    value = True
     if data.dtype.kind == "f":
         value = random.choice((np.nan, -np.nan, 1e308, -1e30, np.inf, -1.0))
-        data[(random.randrange(len(data)),) + (0,) * (data.ndim - 1)] = value
-        return f"holds {value}", VALID
-    data[random.randrange(len(data))] = random.choice((-1, 2**62, 255))
-    return "holds another number", VALID
+    elif data.dtype != np.bool_:
+        value = random.choice((-1, 2**62, 255))
+    data[(random.randrange(len(data)),) + (0,) * (data.ndim - 1)] = value
+    return f"holds {value}", VALID
 
 
 ATTRIBUTES = (

@@ -35,6 +35,8 @@ def made(**options):
 def test_gymnasium_checks_and_flies_it():
     from gymnasium.utils.env_checker import check_env
 
+    named = made(lidar="velodyne-vlp-16", noise="datasheet")
+    assert named.observation_space["ranges"].shape == (16, 1800)
     env = made(world="pillar")
     assert isinstance(env.unwrapped, scenegen.Flight)
     check_env(env.unwrapped)
@@ -57,7 +59,7 @@ def test_gymnasium_checks_and_flies_it():
 
 SETTINGS = {
     "plain": {},
-    "noise": {"noise": "datasheet", "moving": True, "lidar": "velodyne-vlp-16"},
+    "noise": {"noise": "range:0.02", "moving": True, "lidar": Lidar(rows=4, columns=32)},
     "rotors": {"vehicle": Vehicle(dynamics="mujoco", speed_mps=4.0, acceleration_mps2=10.0)},
     "sensor": {"lidar": Lidar(rows=4, columns=16, max_range_m=3.0), "difficulty": "easy"},
 }

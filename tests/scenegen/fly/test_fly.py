@@ -157,7 +157,8 @@ def test_a_robot_sees_nothing_that_its_sensor_does_not():
         assert fly(flying, robot).outcome == "crashed"  # nothing was left to say
     assert_equal(*(robot.seen for robot in robots))
     seen = robots[0].seen[1]
-    assert set(seen) == set(["position", "quaternion", "velocity", "goal", "time_s", "ranges", "points"])
+    names = {"position", "quaternion", "velocity", "goal", "time_s", "ranges", "points"}
+    assert set(seen) == names
     hit = np.isfinite(seen["ranges"])
     ends = seen["ranges"][hit, None] * flying.sensor.directions_body[hit]
     assert_allclose(seen["points"][hit], ends, atol=1e-5)
@@ -322,7 +323,7 @@ def test_a_recording_flies_again(tmp_path):
         refuses(case, read_recording, file, error=DatasetError)
     file.write_bytes(content.replace(course.sha256.encode(), b"0" * 64))
     other = read_recording(file).courses[0]
-    refuses("another world", replay, *other, error=DatasetError)
+    refuses("another world", replay, *other, error=ScenegenError)
 
 
 def test_no_forged_figure_passes(tmp_path):
@@ -333,12 +334,21 @@ def test_no_forged_figure_passes(tmp_path):
     assert flown.outcome == "crashed"
     success = {"outcome": "success", "score": 0.5, "spl": 1.0}
     nothing = {"commands": flown.commands[:0], "digest": hashlib.sha256().hexdigest()}
-    raised = ["score", "spl", "ratio", "flown_m", "shortest_m", "jerk_mps3", "speed_mps", "min_clearance_m"]
+    raised = [
+        "score",
+        "spl",
+        "ratio",
+        "flown_m",
+        "shortest_m",
+        "jerk_mps3",
+        "speed_mps",
+        "min_clearance_m",
+    ]
     forged = [
         *(success, {"outcome": "timeout"}, success | nothing | {"time_s": 0.0}),
         *({"commands": factor * flown.commands} for factor in (0.5, math.nan)),
         *({"time_s": 0.1}, {"score": math.nan}, {"mean_clearance_m": 0.9}),
-        *({name: (getattr(flown, name) or 0.0) + 0.01} for name in raised),
+        *({name: (getattr(flown, name) or 0.0) + 0.01} for name in raised.split()),
     ]
     for change in forged:
         file.write_bytes(entry_of((course, [replace(flown, **change)])).encoded())
@@ -470,13 +480,3 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
     assert 0.02 < max(lags) < 0.2
     assert lags[-1] < 0.01
     assert_allclose(lead[9:], state[9:], atol=0.01)
-
-
-def test_a_flight_with_mujocos_dynamics_ends_and_is_the_same_again():
-    first, again, kinematic = (
-        flown_by(Scripted(straight(0.5)), vehicle=Vehicle(dynamics=dynamics))
-        for dynamics in ("mujoco", "mujoco", "kinematic")
-    )
-    assert first.digest == again.digest != kinematic.digest
-    assert first.outcome == kinematic.outcome
-    assert np.abs(first.path[:20] - kinematic.path[:20]).max() < 0.2

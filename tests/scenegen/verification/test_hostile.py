@@ -8,7 +8,6 @@ import time
 import pytest
 
 from scenegen.base.limits import MAX_DOCUMENT_BYTES
-from scenegen.worlds.screen import screen
 from tests.scenegen import cases
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -108,12 +107,3 @@ def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
     forge.sign(folder, recipe=recipe | {"flight": many, "accept": nothing_will_do})
     fault = f"{SHARD} or {WORLDS}: examining it took too long"
     assert fault in failed(folder, workers=3)["examined"]
-
-
-def test_screening_takes_plain_worlds_and_knows_them_again():
-    def screened(*boxes):
-        box = '<geom name="{}" rgba="1 0 0 1" size="1 1 1" type="box" pos="{} 0 0"/>'
-        text = "".join(box.format(*names) for names in boxes)
-        return screen(f"<mujoco><worldbody>{text}</worldbody></mujoco>".encode(), {}, "w")
-
-    assert screened("a1", "b2") == screened("c2", "d1") != screened("a1", "b3")

@@ -91,22 +91,18 @@ def test_the_viewer_steps_through_datasets_and_splits_and_names_what_is_damaged(
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
         tab, complaints = reached(browser, server.address, first=2)
-        assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
         tab.get_by_role("button", name="errors").click()
-        assert "invented" in state(tab, "layers")
-        assert "2.9 m" in tab.locator("#figures").inner_text()
-        tab.get_by_label("world").check()
-        wait_until(tab, "layers~='world'")
-        for label, layer in (("missed", "missed"), ("distances", f"{HOSTILE}: distances")):
+        for label in ("world", "missed", "distances"):
             tab.get_by_label(label, exact=True).check()
+        wait_until(tab, "layers~='world'")
+        for layer in ("paths", "observed", "invented", "missed", f"{HOSTILE}: distances"):
             assert layer in state(tab, "layers")
+        assert "2.9 m" in tab.locator("#figures").inner_text()
         tab.locator("canvas#scene").click()
-        tab.keyboard.press("ArrowRight")
-        wait_until(tab, "sample='3'")
-        assert "train-00001.h5" in tab.locator("#notes").inner_text()
-        tab.keyboard.press("End")
-        wait_until(tab, "sample='10'")
-        assert tab.locator("#notes").inner_text() == ""
+        for key, sample, note in (("ArrowRight", 3, "train-00001.h5"), ("End", 10, "")):
+            tab.keyboard.press(key)
+            wait_until(tab, f"sample='{sample}'")
+            assert note in tab.locator("#notes").inner_text()
         tab.locator("#split").select_option("test")
         wait_until(tab, "sample='0'")
         tab.locator("#number").fill("1")

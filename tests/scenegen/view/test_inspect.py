@@ -118,20 +118,15 @@ def test_figures_and_samples_are_reported_by_kind(tmp_path, capsys):
     assert "\ntrain: means of each kind, shares in %\n" in details
 
 
-def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):
-    """A cut table is measured anew."""
+def test_figures_that_are_kept_are_read(full, tmp_path, monkeypatch, capsys):
     folder = shutil.copytree(full, tmp_path / "kept")
     done(capsys, f"inspect {folder} --keep")
     every = inspect(Dataset(full), most=None)["splits"]
     (report,) = folder.glob("figures-*.json")
     assert json.loads(report.read_text()) == every
-    (table,) = folder.glob("figures-*.npy")
-    with monkeypatch.context() as patch:
-        patch.setattr("scenegen.dataset.selection.MEASURED_AGAIN", 0)
-        patch.setattr("scenegen.dataset.selection.difficulty", None)  # nothing measures
-        assert inspect(Dataset(folder), most=1)["splits"] == every
-    table.write_bytes(table.read_bytes()[:-1])
-    assert inspect(Dataset(folder), most=1)["splits"]["train"]["sampled"] == 1
+    monkeypatch.setattr("scenegen.dataset.selection.MEASURED_AGAIN", 0)
+    monkeypatch.setattr("scenegen.dataset.selection.difficulty", None)  # nothing measures
+    assert inspect(Dataset(folder), most=1)["splits"] == every
 
 
 def test_a_split_without_returns_gives_valid_json(full, tmp_path, capsys):

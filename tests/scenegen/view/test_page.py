@@ -13,10 +13,10 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
+from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.view.look import look_at, looks
 from scenegen.view.page import HERE, page
-from scenegen.base.errors import ScenegenError
 from tests.refusals import refuses, refuses_command
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%%DATA%%&amp;\u2028"

@@ -16,8 +16,9 @@ from scenegen.view.figures import FIGURES
 from scenegen.view.look import Guess, Route
 from scenegen.view.panels import to_bytes
 from scenegen.view.pictures import draw_sample, draw_turn
-from tests.command_line import ROOT, done, rows
-from tests.refusals import refuses, refuses_command
+from tests.command_line import ROOT, done, refused
+from tests.refusals import refuses
+from tests.scenegen import cases
 
 
 @pytest.fixture(autouse=True)
@@ -72,31 +73,17 @@ def test_a_sample_becomes_a_picture_with_its_sensor(look):
     assert (poorer == 1).all(axis=2).mean() > (image == 1).all(axis=2).mean()
 
 
-DRAWN = """
-made --index 2
-made --sheet 5 --split test
-made --index 1 --figure world
-room.xml --flight
-"""
-REFUSED = """
-made -o x.gif
-made --flight --sheet 2
-made --paper 40 -o x.png
-made --figure paths -o x.png
-made --turn -o x.png
-absent -o x.png
-"""
-
-
-@pytest.mark.parametrize("words", [words for (words,) in rows(DRAWN)])
-def test_the_command_draws_samples_sheets_and_worlds(words, here, capsys):
+@pytest.mark.parametrize(
+    "words", ["made --sheet 5 --split test", "made --index 1 --figure world", "room.xml --flight"]
+)
+def test_the_command_draws_sheets_and_worlds(words, here, capsys):
     done(capsys, f"render {words} -o deep/x.png --quiet")
     assert (here / "deep/x.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("words", [words for (words,) in rows(REFUSED)])
-def test_what_cannot_be_drawn_ends_in_one_line(words, here, capsys):
-    refuses_command(capsys, f"render {words}")
+@pytest.mark.parametrize(("words", "fault"), cases("view/still"))
+def test_what_cannot_be_drawn_ends_in_one_line(words, fault, here, capsys):
+    assert fault in refused(capsys, f"render {words}")
     assert not list(here.glob("x.*"))
 
 
