@@ -20,6 +20,7 @@ from random import Random
 
 from scenegen.base.errors import GuardError
 from scenegen.base.workers import guarded
+from scenegen.cli.stops import STOPS
 from tests.command_line import code_of
 from tests.mutations.case import Result
 from tests.mutations.datasets import print_load
@@ -110,6 +111,8 @@ def _run(attempt, folder):
             except BaseException:
                 traceback.print_exc()
                 code = 70
+    for number in STOPS:  # the command's answers would be printed when this process is ended
+        signal.signal(number, signal.SIG_DFL)
     grown_bytes = (_max_resident_kb() - before) << 10
     return os.getpid(), {"code": code, "after": after, "grown_bytes": grown_bytes}
 

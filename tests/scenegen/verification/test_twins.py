@@ -50,6 +50,7 @@ def test_a_floor_alone_makes_no_twins():
     assert overlap(left, right) > OCCUPIED_IOU
     assert standing_overlap(left, right) == 0.0
     assert standing_overlap(left, left) == standing_overlap(floor, floor) == 1.0
+    right = left.copy()
     right[:, :, 3] = False  # no floor in one of the two: it stands for itself
     assert standing_overlap(left, right) < 0.1
 
