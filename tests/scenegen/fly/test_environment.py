@@ -36,7 +36,7 @@ def test_gymnasium_checks_and_flies_it():
     from gymnasium.utils.env_checker import check_env
 
     named = made(lidar="velodyne-vlp-16", noise="datasheet")
-    assert named.observation_space["ranges"].shape == (16, 1800)
+    assert named.observation_space["ranges"].shape == (16, 1808)
     env = made(world="pillar")
     assert isinstance(env.unwrapped, scenegen.Flight)
     check_env(env.unwrapped)
