@@ -136,8 +136,9 @@ def lines_of(names):
 
 def prepare(here):
     """What the commands read and do not make."""
-    # the grid of n.onnx
-    (here / "small.toml").write_text(SMALL.replace("24, 24", "16, 16"))
+    # the grid of n.onnx, and as many worlds as `calibrate` needs
+    small = SMALL.replace("24, 24", "16, 16").replace("viewpoints = 3", "viewpoints = 2")
+    (here / "small.toml").write_text(small)
     (here / "scan.XYZ").write_text(
         "".join(f"{x / 10} {y / 10} 0.3\n" for x in range(9) for y in range(9))
     )

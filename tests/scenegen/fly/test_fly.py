@@ -348,7 +348,7 @@ def test_no_forged_figure_passes(tmp_path):
         *(success, {"outcome": "timeout"}, success | nothing | {"time_s": 0.0}),
         *({"commands": factor * flown.commands} for factor in (0.5, math.nan)),
         *({"time_s": 0.1}, {"score": math.nan}, {"mean_clearance_m": 0.9}),
-        *({name: (getattr(flown, name) or 0.0) + 0.01} for name in raised.split()),
+        *({name: (getattr(flown, name) or 0.0) + 0.01} for name in raised),
     ]
     for change in forged:
         file.write_bytes(entry_of((course, [replace(flown, **change)])).encoded())
