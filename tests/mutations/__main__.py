@@ -43,12 +43,11 @@ def main():
             print(f"{ended.name} {ended.wrong}\n    {ended.damage}\n    {command}", flush=True)
         if len(names) == 1:
             pprint.pprint(ended)
-    print("family          cases  results  wrong   slowest")
     for name, cases in families.items():
         passed = sum(case.result.code == 0 for case in cases)
         wrong = sum(bool(case.wrong) for case in cases)
-        slowest = max(case.result.seconds for case in cases)
-        print(f"{name:<14}{len(cases):>7}{passed:>9}{wrong:>7}{slowest:>8.1f} s")
+        slowest_s = max(case.result.seconds for case in cases)
+        print(f"{name}: {len(cases)} cases, {passed} results, {wrong} wrong, {slowest_s:.1f} s")
     return int(any(case.wrong for cases in families.values() for case in cases))
 
 
