@@ -13,7 +13,8 @@ import scenegen
 from scenegen.dataset.read import Dataset
 from tests.command_line import page
 
-BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", page("convert.md"), re.M | re.S)
+(BATCHES,) = re.findall(r"^```python\n(.*?)^```\n", page("convert.md"), re.M | re.S)
+NODE = page("ros_scanner.py")
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
