@@ -249,9 +249,9 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
         go_on(on_done=stop)
     next(out.rglob("*.invalid")).unlink()  # as if stopped within the first sample
     done = go_on()
-    assert (done.written, done.there) == (2, 0)
+    assert (done.written, done.existing) == (2, 0)
     done = go_on()
-    assert (done.written, done.there) == (0, 2)
+    assert (done.written, done.existing) == (0, 2)
     assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
         refuses("another command", converted, made, out, other, **choices)

@@ -5,15 +5,22 @@ import shutil
 import numpy as np
 import pytest
 
-from scenegen.view.look import Guess, Route
+from lidarsim import GridSpec
+from scenegen.view.look import Guess, Look, Route
+from scenegen.view.page import page
 from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
 
 pytestmark = pytest.mark.slow
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
-SOFTWARE = "--no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
+SOFTWARE = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
 
 
 @pytest.fixture(scope="module")
@@ -22,34 +29,26 @@ def browser():
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")
     with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE.split())
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
         yield opened
         opened.close()
 
 
-def wait_until(tab, attribute):
-    """Wait until the page's body has an attribute."""
-    tab.wait_for_selector(f"body[data-{attribute}]", state="attached", timeout=60_000)
-
-
-def reached(browser, address, first=0):
+def reached(browser, address, first=0, **how):
     """The page at an address once its first sample shows, and the list of what its console says
     against it, and of requests to other places."""
-    complaints = []
+    told = []
     allowed = address.partition("#")[0], "blob:"
-
-    def on_request(request):
-        if not request.url.startswith(allowed):
-            complaints.append(request.url)
-
-    tab = browser.new_page(viewport={"width": 900, "height": 700})
-    tab.on("console", lambda line: line.type == "error" and complaints.append(line.text))
-    tab.on("pageerror", lambda error: complaints.append(str(error)))
-    tab.on("dialog", lambda dialog: complaints.append("dialog") or dialog.dismiss())
-    tab.on("request", on_request)
+    tab = browser.new_page(**{"viewport": {"width": 900, "height": 700}} | how)
+    tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
+    tab.on("pageerror", lambda error: told.append(str(error)))
+    tab.on("dialog", lambda dialog: told.append(f"dialog {dialog.message}") or dialog.dismiss())
+    tab.on(
+        "request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url)
+    )
     tab.goto(address)
-    wait_until(tab, f"sample='{first}'")
-    return tab, complaints
+    tab.wait_for_selector(f"body[data-sample='{first}']", state="attached", timeout=60_000)
+    return tab, told
 
 
 def state(tab, name):
@@ -57,61 +56,66 @@ def state(tab, name):
     return tab.evaluate(f"document.body.dataset.{name}")
 
 
-def test_the_address_keeps_what_is_shown_and_a_click_picks_a_voxel(browser, made):
+def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, made):
     with served(made) as server:
         place = f"{server.address}#sample=2&split=train&layers=occupancy~free"
-        tab, complaints = reached(browser, place, first=2)
+        tab, told = reached(browser, place, first=2)
         assert state(tab, "layers").split()[-2:] == ["free", "occupancy"]
         box = tab.locator("canvas#scene").bounding_box()
-        for across, down in np.ndindex(6, 6):
-            x, y = 0.55 + 0.05 * across, 0.4 + 0.05 * down
-            tab.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
-            if voxel := tab.locator("#picked").inner_text():
+        spots = [(0.55 + 0.05 * n, 0.4 + 0.05 * m) for n in range(6) for m in range(6)]
+        for across, down in spots:
+            tab.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+            if said := tab.locator("#picked").inner_text():
                 break
-        assert "occupancy" in voxel or "free" in voxel
-        assert " m." in voxel
+        assert "occupancy" in said or "free" in said
+        assert " m." in said
         with tab.expect_download() as saved:
             tab.get_by_role("button", name="PNG").click()
         assert saved.value.suggested_filename == "sample-2.png"
         tab.keyboard.press("ArrowRight")
         tab.wait_for_url("**#sample=3&*")
-        assert complaints == []
+        assert told == []
 
 
-def guesses(samples, index):
-    sample = samples[index]
-    ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
-    route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
-    return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
-
-
-def test_the_viewer_steps_through_datasets_and_splits_and_names_what_is_damaged(
+def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
     browser, made, dataset
 ):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
+
+    def guesses(samples, index):
+        sample = samples[index]
+        ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
+        route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
+        return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
+
     with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
-        tab, complaints = reached(browser, server.address, first=2)
-        tab.get_by_role("button", name="errors").click()
-        for label in ("world", "missed", "distances"):
-            tab.get_by_label(label, exact=True).check()
-        wait_until(tab, "layers~='world'")
-        for layer in ("paths", "observed", "invented", "missed", f"{HOSTILE}: distances"):
-            assert layer in state(tab, "layers")
+        tab, told = reached(browser, server.address, first=2)
+        assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
+        tab.get_by_role("button", name="wrong").click()
+        assert "invented" in state(tab, "layers")
         assert "2.9 m" in tab.locator("#figures").inner_text()
+        tab.get_by_label("world").check()
+        tab.wait_for_selector("body[data-layers~='world']", state="attached")
+        tab.get_by_label("missed").check()
+        assert "missed" in state(tab, "layers")
+        tab.get_by_label("distances", exact=True).check()
+        assert f"{HOSTILE}: distances" in state(tab, "layers")
         tab.locator("canvas#scene").click()
-        for key, sample, note in (("ArrowRight", 3, "train-00001.h5"), ("End", 10, "")):
-            tab.keyboard.press(key)
-            wait_until(tab, f"sample='{sample}'")
-            assert note in tab.locator("#notes").inner_text()
+        tab.keyboard.press("ArrowRight")
+        tab.wait_for_selector("body[data-sample='3']", state="attached")
+        assert "train-00001.h5" in tab.locator("#notes").inner_text()
+        tab.keyboard.press("End")
+        tab.wait_for_selector("body[data-sample='10']", state="attached")
+        assert tab.locator("#notes").inner_text() == ""
         tab.locator("#split").select_option("test")
-        wait_until(tab, "sample='0'")
+        tab.wait_for_selector("body[data-sample='0']", state="attached")
         tab.locator("#number").fill("1")
         tab.locator("#number").press("Enter")
-        wait_until(tab, "sample='1'")
+        tab.wait_for_selector("body[data-sample='1']", state="attached")
         tab.locator("#dataset").select_option(index=1)
-        wait_until(tab, "sample='0'")
+        tab.wait_for_selector("body[data-sample='0']", state="attached")
         assert int(state(tab, "milliseconds")) < 2000
-        assert [line for line in complaints if "404" not in line] == []
+        assert [line for line in told if "404" not in line] == []
 
 
 PIXELS = """() => {
@@ -130,20 +134,87 @@ def test_views_side_by_side_have_one_camera(browser, made):
     them."""
     with served(made) as server:
         place = f"{server.address}#layers=rays&views=observed~observed~occupancy"
-        tab, complaints = reached(browser, place)
-        seen = set()
+        tab, told = reached(browser, place)
+        seen = []
         for across in (500, 560):
             tab.mouse.move(500, 300)
             tab.mouse.down()
             tab.mouse.move(across, 300)
             tab.mouse.up()
             tab.wait_for_timeout(500)
-            left, same, other = tab.evaluate(PIXELS)
-            assert left == same != other
-            seen.add(left)
-        assert len(seen) == 2
+            one, same, other = tab.evaluate(PIXELS)
+            assert one == same != other
+            seen.append(one)
+        assert seen[0] != seen[1]
         tab.get_by_label("view 2").select_option("free")
         tab.wait_for_url("**views=observed%7Efree%7Eoccupancy*")
         assert "free" in state(tab, "layers")
         tab.get_by_role("button", name="truth").click()
-        assert (state(tab, "views"), complaints) == ("1", [])
+        assert (state(tab, "views"), told) == ("1", [])
+
+
+def drawn(tab):
+    """The layers that a page draws, without its frame."""
+    return [name for name in state(tab, "layers").split() if not name.startswith("#")]
+
+
+@pytest.fixture
+def film(tmp_path):
+    """The file of a page: three moments in a room of 4 m with floor and ceiling, and a plan."""
+    grid = GridSpec(shape=(20, 20, 10), voxel_m=0.2)
+    room = np.zeros(grid.shape, bool)
+    room[:, :, [0, -1]] = room[0] = room[5, 5] = True
+    moments = []
+    for n in range(3):
+        seen = np.zeros(grid.shape, bool)
+        seen[: n + 1, :, 0] = True
+        way = np.array([[1.0, 1.0, 1.0], [1.0 + n, 1.5, 1.0]])
+        route = Route(start=way[0], goal=way[-1], points=way, told="under way")
+        moments.append(
+            Look(
+                name=f"{n}.0 s",
+                grid=grid,
+                origin=np.zeros(3),
+                position=way[-1],
+                quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+                masks={"occupancy": room, "observed": seen},
+                guesses=(Guess(name="robot", occupied=seen, tudf=None, route=route),),
+            )
+        )
+    file = tmp_path / "film.html"
+    file.write_text(page(moments, title="a flight", film=True))
+    return file.as_uri()
+
+
+def test_a_flight_opens_on_belief_and_has_a_timeline(browser, film):
+    tab, complaints = reached(browser, film)
+    assert drawn(tab) == ["observed", "paths", "robot"]
+    tab.locator("#time").fill("2")
+    tab.wait_for_selector("body[data-sample='2']", state="attached")
+    assert "2.0 s" in tab.locator("#figures").inner_text()
+    tab.get_by_role("button", name="truth").click()
+    assert drawn(tab) == ["occupancy"]
+    assert complaints == []
+
+
+def test_a_ceiling_is_cut_above_the_sensor_until_it_is_wanted(browser, film):
+    tab, complaints = reached(browser, film)
+    tab.get_by_role("button", name="truth").click()
+    assert state(tab, "cut") == "6"  # the sensor is in the sixth layer of voxels
+    inside = tab.evaluate(PIXELS)
+    tab.locator("#cut").fill("10")
+    assert state(tab, "cut") == "10"
+    tab.wait_for_timeout(300)
+    assert tab.evaluate(PIXELS) != inside
+    assert complaints == []
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_a_phone_shows_the_picture_below_the_panel(browser, film, scheme):
+    phone = {"viewport": {"width": 390, "height": 800}, "color_scheme": scheme}
+    tab, complaints = reached(browser, film, **phone)
+    panel, picture = (tab.locator(name).bounding_box() for name in ("#panel", "#scene"))
+    assert panel["y"] + panel["height"] <= picture["y"] + 1
+    assert picture["width"] == 390
+    assert tab.evaluate("document.body.scrollWidth") <= 390
+    assert complaints == []
