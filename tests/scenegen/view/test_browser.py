@@ -88,7 +88,7 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
-    with served([dataset, made], index=2, guesses=guesses, methods=(HOSTILE,)) as server:
+    with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
         tab, told = reached(browser, server.address, first=2)
         assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
         tab.get_by_role("button", name="wrong").click()
