@@ -16,12 +16,21 @@ def ros_types():
     return store, {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
 
 
+def named(names, values):
+    """Values by names of one letter."""
+    return dict(zip(names, map(float, values), strict=True))
+
+
 class Bag:
     """Messages of one bag, written by `write`."""
 
     def __init__(self):
         self.store, self.types = ros_types()
         self.messages = []
+
+    def add(self, topic, time_s, message, **fields):
+        """Adds a message of this name."""
+        self.messages.append((topic, time_s, self.types[message](**fields)))
 
     def header(self, frame, time_s):
         seconds = int(np.floor(time_s))
@@ -31,60 +40,54 @@ class Bag:
     def cloud(self, time_s, points, frame="lidar", topic="/points", row_step=None, **fields):
         """A PointCloud2 of points (n, 3), with other fields (n,)."""
         columns = dict(zip("xyz", np.asarray(points, "f4").T, strict=True)) | fields
-        layout = np.dtype([(name, values.dtype) for name, values in columns.items()])
-        rows = np.empty(len(points), layout)
-        for name, values in columns.items():
-            rows[name] = values
+        rows = np.rec.fromarrays(columns.values(), names=list(columns))
         numbers = {"u4": 6, "i4": 5, "f4": 7, "f8": 8, "u1": 2}
         described = [
             self.types["PointField"](
-                name=name,
-                offset=layout.fields[name][1],
-                datatype=numbers[layout[name].str[1:]],
-                count=1,
+                name=name, offset=offset, datatype=numbers[kind.str[1:]], count=1
             )
-            for name in layout.names
+            for name, (kind, offset) in rows.dtype.fields.items()
         ]
-        message = self.types["PointCloud2"](
+        self.add(
+            *(topic, time_s, "PointCloud2"),
             header=self.header(frame, time_s),
             height=1,
             width=len(rows),
             fields=described,
             is_bigendian=False,
-            point_step=layout.itemsize,
+            point_step=rows.itemsize,
             row_step=rows.nbytes if row_step is None else row_step,
             data=np.frombuffer(rows.tobytes(), np.uint8),
             is_dense=True,
         )
-        self.messages.append((topic, time_s, message))
 
     def transform(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/tf"):
         """A transform, turned by x y z w."""
-        place = self.types["Vector3"](**dict(zip("xyz", map(float, position), strict=True)))
-        turned = self.types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True)))
+        place = self.types["Vector3"](**named("xyz", position))
+        turned = self.types["Quaternion"](**named("xyzw", turn))
         link = self.types["TransformStamped"](
             header=self.header(parent, time_s),
             child_frame_id=child,
             transform=self.types["Transform"](translation=place, rotation=turned),
         )
-        self.messages.append((topic, time_s, self.types["TFMessage"](transforms=[link])))
+        self.add(topic, time_s, "TFMessage", transforms=[link])
 
     def odometry(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/odom"):
         """A message of odometry, turned by x y z w."""
-        types, none = self.types, np.zeros(36)
-        zero = types["Vector3"](x=0.0, y=0.0, z=0.0)
+        types, zeros = self.types, np.zeros(36)
+        still = types["Vector3"](x=0.0, y=0.0, z=0.0)
         pose = types["Pose"](
-            position=types["Point"](**dict(zip("xyz", map(float, position), strict=True))),
-            orientation=types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True))),
+            position=types["Point"](**named("xyz", position)),
+            orientation=types["Quaternion"](**named("xyzw", turn)),
         )
-        twist = types["Twist"](linear=zero, angular=zero)
-        message = types["Odometry"](
+        twist = types["Twist"](linear=still, angular=still)
+        self.add(
+            *(topic, time_s, "Odometry"),
             header=self.header(parent, time_s),
             child_frame_id=child,
-            pose=types["PoseWithCovariance"](pose=pose, covariance=none),
-            twist=types["TwistWithCovariance"](twist=twist, covariance=none),
+            pose=types["PoseWithCovariance"](pose=pose, covariance=zeros),
+            twist=types["TwistWithCovariance"](twist=twist, covariance=zeros),
         )
-        self.messages.append((topic, time_s, message))
 
     def write(self, path):
         """Puts all messages into a bag's folder, in the order of their times."""
