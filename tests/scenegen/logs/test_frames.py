@@ -1,6 +1,5 @@
 """Frames of recordings: one tree, or a refusal that names both parents."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -92,8 +91,7 @@ def test_a_single_row_may_leave_out_its_length(tmp_path):
     scans = list(read_log(moving(bag).write(tmp_path / "bag")).scans())
     assert len(scans) == 6
     assert scans[3].points[0] == pytest.approx(truth[3][0], abs=1e-6)
-    *where, cloud = bag.messages[0]
-    bag.messages[0] = (*where, dataclasses.replace(cloud, point_step=0))
+    bag.messages[0][-1]["point_step"] = 0
     odd = read_log(bag.write(tmp_path / "odd"))
     refuses("points of no size", lambda: list(odd.scans()))
 
@@ -107,11 +105,6 @@ def test_a_pose_is_the_chain_of_its_frames_between_their_times(tmp_path):
     pose, half = read_log(bag.write(tmp_path / "bag")).poses[3], 0.3 + math.pi / 4
     assert pose.position == pytest.approx([3 + math.cos(0.6), math.sin(0.6), 0])
     assert pose.quaternion == pytest.approx([math.cos(half), 0, 0, math.sin(half)])
-
-
-def test_scans_after_the_last_pose_have_none(tmp_path):
-    log = read_log(moving(drive()[0], scans=3).write(tmp_path / "bag"))
-    assert (len(log.poses), log.without_pose) == (4, 2)
 
 
 def tum(n):
@@ -135,11 +128,12 @@ def test_a_bag_without_transforms_takes_poses(tmp_path, capsys):
 
 
 def test_a_folder_may_hold_a_recording_alone(tmp_path):
-    path = moving(drive()[0]).write(tmp_path / "bag")
-    (path / "metadata.yaml").unlink()
-    assert positions(read_log(path)) == along_x()
-    (path / "bag_1.db3").write_bytes((path / "bag.db3").read_bytes())
-    refuses("two", read_log, path)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    moving(drive()[0]).write(folder / "one")
+    assert positions(read_log(folder)) == along_x()
+    moving(drive()[0]).write(folder / "two")
+    refuses("two", read_log, folder)
 
 
 def test_a_line_says_what_was_read_and_explain_writes_nothing(tmp_path, capsys):
