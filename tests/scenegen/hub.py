@@ -80,9 +80,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(sent)
 
-    def _refuse(self, status, said, code=""):
-        more = {"X_Error_Code": code, "X_Error_Message": said} if code else {}
-        self._answer({"error": said}, status, **more)
+    def _refuse(self, status, message, code=""):
+        headers = {"X_Error_Code": code, "X_Error_Message": message} if code else {}
+        self._answer({"error": message}, status, **headers)
 
     def _handle(self):
         hub, path = self.server.hub, unquote(urlsplit(self.path).path)
@@ -103,11 +103,11 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def create(page, hub, body):
-    asked = json.loads(body)
-    name = f"{asked['organization']}/{asked['name']}"
+    fields = json.loads(body)
+    name = f"{fields['organization']}/{fields['name']}"
     is_there = name in hub.repositories
     if not is_there:
-        private = "private" in (asked.get("visibility"), asked.get("private") and "private")
+        private = "private" in (fields.get("visibility"), fields.get("private") and "private")
         hub.repositories[name] = Repository(private=private)
         hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
     page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if is_there else 200)
@@ -150,22 +150,22 @@ def tree(page, hub, body, name, revision):
 
 def refs(page, hub, body, name):
     if _known(page, hub, name) is not None:
-        found = hub.repositories[name]
+        repository = hub.repositories[name]
         tags = [
             {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
-            for tag, sha in found.tags.items()
+            for tag, sha in repository.tags.items()
         ]
-        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": found.head}
+        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repository.head}
         page._answer({"branches": [main], "converts": [], "tags": tags})
 
 
 def preupload(page, hub, body, name, revision):
-    there = _known(page, hub, name, revision)
-    if there is None:
+    files_there = _known(page, hub, name, revision)
+    if files_there is None:
         return
     answers = []
     for path in [file["path"] for file in json.loads(body)["files"]]:
-        entry = _entry(path, there[path]) if path in there else {}
+        entry = _entry(path, files_there[path]) if path in files_there else {}
         mode = "lfs" if path.endswith(LARGE) else "regular"
         oid = entry.get("lfs", entry).get("oid")
         answers.append({"path": path, "uploadMode": mode, "shouldIgnore": False, "oid": oid})
@@ -210,10 +210,10 @@ def commit(page, hub, body, name, revision):
 
 def tag(page, hub, body, name, revision):
     repository = hub.repositories[name]
-    asked = json.loads(body)["tag"]
-    if asked in repository.tags:
+    name_of_tag = json.loads(body)["tag"]
+    if name_of_tag in repository.tags:
         return page._refuse(409, "tag is there")
-    repository.tags[asked] = repository.sha(revision)
+    repository.tags[name_of_tag] = repository.sha(revision)
     page._answer({})
 
 

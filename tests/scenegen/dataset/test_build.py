@@ -102,17 +102,17 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
     assert read(few)["digest"] != digest
     assert "tudf" not in read(tmp_path / "c")["fields"]
     for split in SPLITS:
-        one, other = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
-        assert all(same(a, b) for a, b in zip(one, other, strict=True))
+        stored, compact_split = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
+        assert all(same(a, b) for a, b in zip(stored, compact_split, strict=True))
 
 
 def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
     """Byte by byte; whole shards are not touched, and one that was not full is made again."""
-    kept = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
-    before = [(folder / name).stat().st_mtime_ns for name in kept]
+    untouched = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
+    before = [(folder / name).stat().st_mtime_ns for name in untouched]
     assert make(folder, counts=MORE).samples_written == 20 + 8 - 12
     assert contents(folder) == contents(larger)
-    assert [(folder / name).stat().st_mtime_ns for name in kept] == before
+    assert [(folder / name).stat().st_mtime_ns for name in untouched] == before
 
 
 DAMAGES = {"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}
@@ -168,11 +168,11 @@ def test_the_format_is_the_contract(whole):
 
 
 def test_going_on_with_other_parameters_is_refused_by_name(folder, whole):
-    other = {
+    changes = {
         **{"seed": 5, "counts": {**COUNTS, "train": 12}, "compact": True},
         "recipe": small_recipe(flight={"robot_radius_m": 0.4}),
     }
-    for name, value in other.items():
+    for name, value in changes.items():
         refuses(name, make, folder, **{name: value})
     assert build(plan(folder), force=True, shard_range=(0, 1)).samples_written == 0
     assert contents(folder) == contents(whole)

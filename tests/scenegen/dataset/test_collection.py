@@ -130,7 +130,9 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe, tmp_pa
     alone = built(plan_of(tmp_path / "alone", pillars, seed=4, counts=counts))
     for split in SPLITS:
         expected = [
-            one for dataset in (alone, *mixed.datasets[1:]) for one in samples_of(dataset, split)
+            digest
+            for dataset in (alone, *mixed.datasets[1:])
+            for digest in samples_of(dataset, split)
         ]
         assert samples_of(mixed, split) == expected
 
@@ -138,7 +140,9 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe, tmp_pa
 @pytest.mark.parametrize("how", ["list", "folder"])
 def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed, how):
     (changed / COLLECTION).unlink()
-    names = changed if how == "folder" else [changed / one.folder.name for one in mixed.datasets]
+    names = (
+        changed if how == "folder" else [changed / member.folder.name for member in mixed.datasets]
+    )
     together = open_data(names).split("train")
     assert sorted(samples_of(open_data(names), "train")) == sorted(samples_of(mixed, "train"))
     assert together.count_worlds() == 10
@@ -282,8 +286,10 @@ BOUNDS = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
 
 def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(recipe):
     recipe.write_text(INTERVALS)
-    drawn, again, other = ([part for part, _ in read_components(recipe, seed=n)] for n in (3, 3, 4))
-    assert drawn == again != other
+    drawn, again, reseeded = (
+        [part for part, _ in read_components(recipe, seed=n)] for n in (3, 3, 4)
+    )
+    assert drawn == again != reseeded
     rows = [
         (part.lidar.rows, part.noise.stages[0].sigma_m, *part.flight.altitude_m)
         for part in drawn[::2]

@@ -77,10 +77,10 @@ def test_another_sensor_scans_from_the_same_poses(noisy, tmp_path):
     lidar = BeamTable.of(Lidar(rows=5, columns=40))
     pair = built(plan_like(noisy.folder, tmp_path / "d", lidar=lidar))
     assert (pair.lidar, pair.manifest.like) == (lidar, noisy.digest)
-    for one, other in zip(noisy.split("train"), pair.split("train"), strict=True):
+    for original, sample in zip(noisy.split("train"), pair.split("train"), strict=True):
         for name in OF_POSES:
-            assert_array_equal(getattr(one, name), getattr(other, name))
-        assert other.ranges.shape == (5, 40)
+            assert_array_equal(getattr(original, name), getattr(sample, name))
+        assert sample.ranges.shape == (5, 40)
     assert verify(pair.folder).ok
 
 

@@ -93,7 +93,7 @@ def test_many_threads_and_few_open_files_read_the_same(made, monkeypatch):
 def test_a_sample_without_a_dataset_needs_its_sensor(made):
     dataset = scenegen.load(made).dataset
     stored = dataset.split("train")[0]
-    plain = copy.copy(stored)
+    plain = Sample(**{name: getattr(stored, name) for name in GROUPS[""]})
     refuses("none", plain.points, error=TypeError)
     refuses("os1", stored.points, "os1")
     refuses("frame", stored.points, frame="sensor")

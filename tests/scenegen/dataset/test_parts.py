@@ -43,11 +43,11 @@ def folder(whole, tmp_path):
 @pytest.mark.parametrize("names", [["labels"], ["normals"], ["normals", "labels"]])
 def test_parts_add_fields_and_change_none(names):
     recipes = small_recipe(), with_parts(*names)
-    plain, more = (drawn_unit(recipe, seed=1).samples[0] for recipe in recipes)
+    plain, sample = (drawn_unit(recipe, seed=1).samples[0] for recipe in recipes)
     added = [field for name in PARTS if name in names for field in GROUPS[name]]
-    assert more.names == (*plain.names, *added)
+    assert sample.names == (*plain.names, *added)
     for field in plain.names:
-        assert_array_equal(getattr(plain, field), getattr(more, field))
+        assert_array_equal(getattr(plain, field), getattr(sample, field))
 
 
 def test_a_dataset_with_parts_passes_every_check(whole):

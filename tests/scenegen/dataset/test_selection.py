@@ -87,7 +87,9 @@ def plain_loop(dataset, choice):
             if (
                 (not choice.kinds or split.home(number).graded in choice.kinds)
                 and (not in_worlds or any(in_worlds))
-                and all(SIGNS[one.sign](values[one.name], one.value) for one in choice.where)
+                and all(
+                    SIGNS[bound.sign](values[bound.name], bound.value) for bound in choice.where
+                )
             ):
                 numbers.append(number)
         taken[name] = numbers[: choice.most]
@@ -99,8 +101,8 @@ def plain_loop(dataset, choice):
 def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
     dataset = open_data(folder)
     if kept:
-        for one in dataset.datasets:
-            inspect(one, keep=True)
+        for member in dataset.datasets:
+            inspect(member, keep=True)
     assert bool(kept_measures(dataset)) == kept
     expected = plain_loop(dataset, choice)
     assert lists(choose(dataset, choice)) == expected
@@ -192,7 +194,9 @@ def kept(dataset):
 
 
 def test_kept_measures_are_those_of_the_samples(kept):
-    expected = [[of(one) for of in MEASURES.values()] for one in kept.split("train")]
+    expected = [
+        [measure(sample) for measure in MEASURES.values()] for sample in kept.split("train")
+    ]
     assert np.array_equal(kept_measures(kept)["train"], expected, equal_nan=True)
 
 
@@ -200,10 +204,10 @@ DENSE = with_conditions("occupied>=0.02")
 
 
 def test_damaged_measures_are_measured_again(kept):
-    whole, expected = measures_file(kept).read_bytes(), lists(choose(kept, DENSE))
+    undamaged, expected = measures_file(kept).read_bytes(), lists(choose(kept, DENSE))
     edited = []
-    for place in (len(whole) // 2, len(whole) - DIGEST_BYTES - 1, len(whole) - 1):
-        edited.append(bytearray(whole))
+    for place in (len(undamaged) // 2, len(undamaged) - DIGEST_BYTES - 1, len(undamaged) - 1):
+        edited.append(bytearray(undamaged))
         edited[-1][place] ^= 1
     short = encode_measures(np.concatenate(list(kept_measures(kept).values()))[1:])
     for content in (*edited, short, b"", hashlib.sha256().digest()):

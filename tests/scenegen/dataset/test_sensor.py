@@ -37,11 +37,11 @@ def build_with(folder, lidar, engine="mujoco", *, force=False):
 
 def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit():
     recipe = small_recipe("geometric")
-    other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
-    one, two = (drawn_unit(it, 2, seed=1).samples for it in (recipe, other))
-    assert len(one) == 3
-    assert [sample.sha256() for sample in one] == [sample.sha256() for sample in two]
-    assert_array_equal(one[0].free, two[0].free)
+    tabled = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
+    of_raster, of_table = (drawn_unit(variant, 2, seed=1).samples for variant in (recipe, tabled))
+    assert len(of_raster) == 3
+    assert [sample.sha256() for sample in of_raster] == [sample.sha256() for sample in of_table]
+    assert_array_equal(of_raster[0].free, of_table[0].free)
 
 
 def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):

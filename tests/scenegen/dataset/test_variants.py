@@ -38,12 +38,12 @@ def test_noise_changes_ranges_alone(made, noisy):
     stated = NoiseEntry(stages=SPELLED, bound_m=4 * 0.02, version=VERSION)
     clean = Dataset(made)
     assert [dataset.manifest.noise for dataset in (clean, noisy)] == [None, stated]
-    for one, other in zip(clean.split("train"), noisy.split("train"), strict=True):
+    for original, sample in zip(clean.split("train"), noisy.split("train"), strict=True):
         for name in OF_POSES:
-            assert_array_equal(getattr(one, name), getattr(other, name))
-        kept = np.isfinite(other.ranges)
-        assert (kept <= np.isfinite(one.ranges)).all()
-        assert 0 < np.abs(one.ranges[kept] - other.ranges[kept]).max() <= 0.08 + 1e-6
+            assert_array_equal(getattr(original, name), getattr(sample, name))
+        returned = np.isfinite(sample.ranges)
+        assert (returned <= np.isfinite(original.ranges)).all()
+        assert 0 < np.abs(original.ranges[returned] - sample.ranges[returned]).max() <= 0.08 + 1e-6
 
 
 def state_noise(folder, change=forge.sign, **changes):
@@ -145,16 +145,16 @@ def recipe_with(noise="", **mapping):
 
 def test_more_scans_show_more_of_the_same_maps(made, several):
     both = (dataset.split("train") for dataset in (Dataset(made), several))
-    for one, other in zip(*both, strict=True):
+    for single, sample in zip(*both, strict=True):
         for name in ("ranges", *OF_POSES):
-            assert_array_equal(getattr(one, name), getattr(other, name))
-        assert (one.observed <= other.observed).all()
-        assert (other.observed <= other.occupancy).all()
-        assert not (other.free & other.observed).any()
-        points = one.points(frame="body")
-        assert_array_equal(other.points(frame="body")[: len(points)], points)
-        assert len(other.points()) == sum(len(scan.points()) for scan in other.scans())
-        assert other.observed.sum() > one.observed.sum()
+            assert_array_equal(getattr(single, name), getattr(sample, name))
+        assert (single.observed <= sample.observed).all()
+        assert (sample.observed <= sample.occupancy).all()
+        assert not (sample.free & sample.observed).any()
+        points = single.points(frame="body")
+        assert_array_equal(sample.points(frame="body")[: len(points)], points)
+        assert len(sample.points()) == sum(len(scan.points()) for scan in sample.scans())
+        assert sample.observed.sum() > single.observed.sum()
 
 
 def test_earlier_scans_lie_back_along_the_flight(several):

@@ -45,10 +45,10 @@ def section(card, language, title):
 
 
 def test_it_is_still_the_dataset_and_every_file_is_listed_with_its_digest(out, made):
-    there = contents(out)
-    assert there.items() >= contents(made).items()
-    listed = [line.split("  ") for line in there.pop("SHA256SUMS").decode().splitlines()]
-    assert {name: digest for digest, name in listed} == digests(there)
+    files = contents(out)
+    assert files.items() >= contents(made).items()
+    listed = [line.split("  ") for line in files.pop("SHA256SUMS").decode().splitlines()]
+    assert {name: digest for digest, name in listed} == digests(files)
     assert not [path for path in out.rglob("*") if path.is_symlink()]
 
 

@@ -80,8 +80,8 @@ def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked, hub):
     old = {"train-00099.h5", "rays.npy", "figures-0123456789abcdef.npy"}
     former.commit(dict.fromkeys(mine | old, b"mine"))
     publish(asked)
-    there = former.files("main").items()
-    assert {name for name, content in there if content == b"mine"} == mine
+    files_now = former.files("main").items()
+    assert {name for name, content in files_now if content == b"mine"} == mine
 
 
 def test_private_stays_private(asked, hub):

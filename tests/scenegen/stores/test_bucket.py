@@ -65,6 +65,6 @@ def test_a_bucket_holds_the_bytes_of_a_folder(name, tmp_path):
     stored = {file: Store(name).read(file, size) for file, size in Store(name).list().items()}
     for content in stored.values():
         assert not [secret for secret in SECRETS if os.environ[secret].encode() in content]
-    there = {file: stored[file] for file in stored if not file.endswith(SUFFIX)}
-    assert there == contents(tmp_path / "d")
+    objects = {file: stored[file] for file in stored if not file.endswith(SUFFIX)}
+    assert objects == contents(tmp_path / "d")
     assert verify(locate(name, whole=True), quick=True).ok

@@ -40,8 +40,8 @@ def here(everything, store, tmp_path, monkeypatch):
 )
 def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, words):
     local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
-    there = [NAME if word == "d" else word for word in words]
-    assert everywhere.outcome(capsys, here, there, "out", "--on", "bare") == local
+    remote = [NAME if word == "d" else word for word in words]
+    assert everywhere.outcome(capsys, here, remote, "out", "--on", "bare") == local
 
 
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(

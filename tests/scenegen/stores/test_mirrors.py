@@ -50,17 +50,17 @@ def gets(server):
 
 
 def test_a_shard_is_fetched_when_it_is_first_opened(server, there, made):
-    split, here = load(NAME, split="train"), load(made, split="train")
+    split, local = load(NAME, split="train"), load(made, split="train")
     folder = split.dataset.folder
     assert names(folder) == {"dataset.json"}
-    assert split[4].sha256() == here[4].sha256()
+    assert split[4].sha256() == local[4].sha256()
     assert names(folder) == {"dataset.json", "train-00001.h5"}
-    assert split.dataset.world("train", 1) == here.dataset.world("train", 1)
+    assert split.dataset.world("train", 1) == local.dataset.world("train", 1)
     assert locate(NAME) == folder
     assert gets(server).count("GET train-00001.h5") == 1
     shutil.rmtree(there)
     again = load(str(folder), split="train")[3]
-    assert again.sha256() == here[3].sha256()  # nothing is asked for twice
+    assert again.sha256() == local[3].sha256()  # nothing is asked for twice
     refuses("gone", split.__getitem__, 0)
 
 

@@ -238,10 +238,10 @@ def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):
     fsspec = pytest.importorskip("fsspec")
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path))
     fsspec.filesystem("memory").put(f"{made}/*", "/pillar/")
-    there, here = (load(place, split="test")[2] for place in ("memory://pillar", made))
-    assert there.sha256() == here.sha256()
+    remote, local = (load(place, split="test")[2] for place in ("memory://pillar", made))
+    assert remote.sha256() == local.sha256()
     refuses("to write", lambda: build(plan(Store("memory://new"))))
-    refuses("unknown", locate, "nothing://there")
+    refuses("unknown", locate, "nothing://remote")
 
 
 def test_without_s3fs_one_line_says_what_to_install(monkeypatch):
