@@ -95,6 +95,12 @@ def test_names_as_ours_go_before_others(tmp_path):
     assert read_poses(tmp_path / "poses").poses[0].quaternion.tolist() == [1, 0, 0, 0]
 
 
+def test_a_comment_below_a_row_names_no_columns(tmp_path):
+    rows = "0 1 2 3 0 0 0 1", "# t x y z qw qx qy qz", "1 1 2 3 0 0 0 1"
+    (tmp_path / "poses").write_text("\n".join(rows))
+    assert read_poses(tmp_path / "poses").poses[0].quaternion.tolist() == [1, 0, 0, 0]
+
+
 def test_times_of_any_pace_do_if_none_are_needed(tmp_path):
     (tmp_path / "poses").write_text("0 1 2 3 0 0 0 1\n900 4 5 6 0 0 0 1")
     refuses("900 s", read_poses, tmp_path / "poses")

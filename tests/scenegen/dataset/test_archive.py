@@ -64,8 +64,9 @@ def files(tmp_path):
 
 def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(files, tmp_path):
     output = tmp_path / "new" / "my world.xml"
+    elsewhere = files[DOCUMENT].replace(b"</mujoco>", b'<compiler meshdir="x"/></mujoco>')
     for _ in range(2):  # what is there already, and the same, is no hindrance
-        write_extracted(files, output)
+        write_extracted(files | {DOCUMENT: elsewhere}, output)
     assert names(output.parent) == {"my world.xml", "my world.files"}
     document = files.pop(DOCUMENT).decode()
     assert names(output.with_suffix(".files")) == files.keys()
