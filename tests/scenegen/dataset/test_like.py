@@ -68,11 +68,6 @@ def test_worlds_from_files_give_the_same_samples(scenes, tmp_path):
     assert verify(again.folder).ok
 
 
-def test_like_what_was_scanned_again_is_the_same(noisy, tmp_path):
-    clean = built(plan_like(noisy.folder, tmp_path / "clean", noise=Noise()))
-    assert digest_like(clean.folder, tmp_path / "d") == clean.digest
-
-
 def test_another_sensor_scans_from_the_same_poses(noisy, tmp_path):
     lidar = BeamTable.of(Lidar(rows=5, columns=40))
     pair = built(plan_like(noisy.folder, tmp_path / "d", lidar=lidar))

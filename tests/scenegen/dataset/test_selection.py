@@ -193,13 +193,6 @@ def kept(dataset):
     return Dataset(dataset)
 
 
-def test_kept_measures_are_those_of_the_samples(kept):
-    expected = [
-        [measure(sample) for measure in MEASURES.values()] for sample in kept.split("train")
-    ]
-    assert np.array_equal(kept_measures(kept)["train"], expected, equal_nan=True)
-
-
 DENSE = with_conditions("occupied>=0.02")
 
 

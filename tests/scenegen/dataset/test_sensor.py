@@ -9,7 +9,6 @@ import pickle
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
 from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
@@ -19,7 +18,7 @@ from scenegen.worlds.tables import read_toml
 from tests.conftest import plan_of, small_recipe
 from tests.refusals import refuses
 from tests.scenegen import cases
-from tests.scenegen.conftest import built, drawn_unit
+from tests.scenegen.conftest import built
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +32,6 @@ def table():
 def build_with(folder, lidar, engine="mujoco", *, force=False):
     recipe = dataclasses.replace(small_recipe(), lidar=lidar)
     return built(plan_of(folder, recipe, seed=5, engine=engine), force=force)
-
-
-def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit():
-    recipe = small_recipe("geometric")
-    tabled = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
-    of_raster, of_table = (drawn_unit(variant, 2, seed=1).samples for variant in (recipe, tabled))
-    assert len(of_raster) == 3
-    assert [sample.sha256() for sample in of_raster] == [sample.sha256() for sample in of_table]
-    assert_array_equal(of_raster[0].free, of_table[0].free)
 
 
 def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
