@@ -48,12 +48,11 @@ class Acceptance(Checked):
     """
 
     min_solids: float = number(1.0, minimum=0)
-    """A world is rejected when, averaged along its flight, fewer solids than this reach into the
-    map."""
+    """Minimum solids that reach into a world's map, averaged along its flight."""
     min_occupied_share: float = number(0.0005, minimum=0, maximum=1)
-    """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
+    """Minimum share of occupied voxels of a viewpoint's map."""
     min_returned_share: float = number(0.01, minimum=0, maximum=1)
-    """A viewpoint is rejected when a smaller share of its rays than this returns."""
+    """Minimum share of a viewpoint's rays that return."""
     max_draws: int = number(50, minimum=1, maximum=MAX_DRAWS)
     """Draws of one world after which generation gives up."""
 

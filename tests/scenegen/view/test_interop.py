@@ -16,7 +16,8 @@ from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT
 
 PAGE = (ROOT / "docs" / "convert.md").read_text(encoding="utf-8")
-BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+(BATCHES,) = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+NODE = (ROOT / "docs" / "ros_scanner.py").read_text(encoding="utf-8")
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
