@@ -190,7 +190,7 @@ def preset(
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
-def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, **settings: Any) -> Recipe:
     """Read a recipe from a TOML file.
 
     It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
@@ -200,7 +200,7 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     Args:
         path: The file.
         kind: Replaces a missing `kind`.
-        given: As for `preset`; must not repeat the file's.
+        settings: As for `preset`; must not repeat the file's.
 
     Returns:
         The recipe.
@@ -223,7 +223,7 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short_repr(named)}: expected a name, such as "pillar"')
-    return make_recipe(named, tables, where=where, folder=path.parent, **given)
+    return make_recipe(named, tables, where=where, folder=path.parent, **settings)
 
 
 def _with_options(tables: Json, where: str, options: Json) -> Json:
@@ -281,7 +281,7 @@ def make_recipe(
     *,
     where: str = "",
     folder: Path = Path(),
-    **given: Any,
+    **settings: Any,
 ) -> Recipe:
     """Make the preset of `kind` with other values.
 
@@ -293,7 +293,7 @@ def make_recipe(
         tables: Values by table, as in a recipe's file.
         where: The tables' source, for messages.
         folder: Paths in `tables` are relative to it.
-        given: As for `preset`.
+        settings: As for `preset`.
 
     Returns:
         The recipe.
@@ -312,7 +312,7 @@ def make_recipe(
     if "known" in tables:
         kinds["known"] = Known
     prefix = f"{where}: " if where else ""
-    tables = _with_options(tables, where, given)
+    tables = _with_options(tables, where, settings)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
@@ -323,7 +323,7 @@ def make_recipe(
         defaults["world"] = _graded(world, level, prefix)
     elif level != "medium":
         raise RecipeError(f"{prefix}difficulty: worlds from MJCF files have none; leave it out")
-    sensor = given.get("lidar")
+    sensor = settings.get("lidar")
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():

@@ -34,7 +34,7 @@ def export(folder, variant, inputs):
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
     save_network(folder / "net.safetensors", network, GRID, {})
-    export_onnx(network.eval(), GRID, folder / "net.onnx", about={"seed": 0})
+    export_onnx(network.eval(), GRID, folder / "net.onnx", metadata={"seed": 0})
 
 
 @pytest.fixture(
@@ -59,7 +59,7 @@ def test_runtimes_agree_with_torch(exported, runtime):
     processor has it."""
     path, network = exported
     forward, held = load_onnx(path, runtime=runtime, threads=1)
-    assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
+    assert (held.grid, held.metadata, held.config) == (GRID, {"seed": 0}, network.config)
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     for batch in (1, 3, 1):
         maps = seen(batch)
@@ -99,7 +99,7 @@ def test_other_files_and_names_are_refused(exported, tmp_path):
     onnx.save(onnx.helper.make_model(graph), tmp_path / "foreign.onnx")
     for name in ("text.onnx", "foreign.onnx"):
         refuses(name, Completer.from_pretrained, tmp_path / name, error=CheckpointError)
-    more = {"about": {}, "error": CheckpointError}
+    more = {"metadata": {}, "error": CheckpointError}
     refuses("net.pt", export_onnx, exported[1], GRID, tmp_path / "net.pt", **more)
 
 

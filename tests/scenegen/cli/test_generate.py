@@ -112,5 +112,5 @@ def test_folders_under_data_without_samples_are_left_out(made, tmp_path, monkeyp
     full.symlink_to(made)
     empty = {"shards": (), "complete": False, "digest": None}
     manifest.write(begun, msgspec.structs.replace(manifest.load(made), **empty))
-    assert [dataset.name for dataset in find_datasets((), shown=True)] == [str(full)]
+    assert [dataset.name for dataset in find_datasets((), show_progress=True)] == [str(full)]
     assert capsys.readouterr().err == "data/begun: holds no samples yet, so it is left out\n"

@@ -211,7 +211,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
 
     def go_on(**options):
         ended = convert(Dataset(made), out, to=to, choices=Choices(), splits=("val",), **options)
-        return ended.written, ended.there
+        return ended.written, ended.existing
 
     def stop(count):
         raise KeyboardInterrupt
