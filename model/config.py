@@ -91,6 +91,10 @@ TAKEN = {
 }  # fmt: skip
 """Names in batches, files and losses, which no target of a user's own may have."""
 
+OWN_METRICS = Registry("metric", {})
+"""A user's own metrics of the bench; those that come with scenegen are
+`scenegen.model.bench.metrics.METRICS`, and always measured."""
+
 METHODS = Registry(
     "method",
     {
@@ -329,6 +333,7 @@ class Thresholds(Checked):
 
 UNITS = {"probability": "", "distance_m": " m"}
 """Of the fields of `Thresholds`."""
+MAX_DRAWS = 1000
 NEAR_M = 1.0
 """The paper's bound of what is near an obstacle, metres."""
 
@@ -383,6 +388,10 @@ class BenchConfig(Checked):
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, minimum=0)
     """Seed of goals and permutations."""
+    draws: int = number(1, minimum=1, maximum=MAX_DRAWS)
+    """Answers of a method that draws, for each map; other methods give one."""
+    metrics: tuple[str, ...] = ()
+    """A user's own metrics, each as module:Object."""
     reliability: bool = False
     """Whether the report tells how reliable probabilities are, too."""
     thresholds: Thresholds = field(default_factory=Thresholds)

@@ -64,6 +64,31 @@ class PointScan:
         return crossed & ~self.observed
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenMap:
+    """A map without its truth: what the bench and robots show to inputs and methods. Positions are
+    metres in the world."""
+
+    observed: Mask
+    """(*grid.shape): voxels that hold a return."""
+    free: Mask
+    """(*grid.shape): voxels that a ray crossed, without the observed ones."""
+    origin: Floats
+    """(3,): the map's least corner."""
+    position: Floats
+    """(3,): of the sensor."""
+    quaternion: Floats
+    """(4,): w, x, y, z, from the axes of the body to those of the world."""
+    lidar: Any = None
+    """The sensor, as far as it is known."""
+
+    @classmethod
+    def of(cls, sample: Sample) -> "SeenMap":
+        """Copy the seen part of a sample: a method may write to its arguments."""
+        names = ("observed", "free", "origin", "position", "quaternion")
+        return cls(**{name: getattr(sample, name).copy() for name in names}, lidar=sample.lidar)
+
+
 Channel = Callable[[Any, GridSpec, Any], NDArray[Any]]
 """What makes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's
 sample, only the fields that this accesses are read."""

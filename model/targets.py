@@ -26,6 +26,8 @@ from scenegen.truth import distance_field
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from scenegen.model.bench.metrics import Metric
+
 Terms = Mapping[str, "Tensor"]
 """Scalars of a loss, by name."""
 
@@ -45,6 +47,8 @@ class Target:
     """The least value of a prediction."""
     maximum = np.inf
     """The greatest value of a prediction."""
+    metrics: "Mapping[str, Metric]" = {}
+    """Metrics of its own, by name, for the bench and validation."""
 
     @abstractmethod
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
@@ -164,8 +168,25 @@ def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
     Raises DatasetError where that is no map.
     """
     target = target_called(name)
-    if not is_own(name):
-        return target.truth(sample, grid)
+    return truth_of(target, name, sample, grid) if is_own(name) else target.truth(sample, grid)
+
+
+def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+    """Compute the truth of a user's own target, and check it.
+
+    Args:
+        target: The target.
+        name: What errors call it.
+        sample: The sample.
+        grid: Its grid.
+
+    Returns:
+        The true map, (*grid.shape) or (channels, *grid.shape).
+
+    Raises:
+        DatasetError: It is not a map of numbers.
+        OwnCodeError: The target's code failed.
+    """
     try:
         truth = np.asarray(target.truth(sample, grid))
     except Exception as error:  # a loader process hands over no traceback

@@ -18,6 +18,7 @@ from scenegen.base.files import Json
 from scenegen.base.workers import ALONE
 from scenegen.dataset.parameters import plain
 from scenegen.dataset.read import AnyDataset
+from scenegen.model.bench.methods import answers
 from scenegen.model.bench.run import check_whole, filled
 from scenegen.model.bench.visibility import UNOBSERVED, Case
 from scenegen.model.calibration import (
@@ -198,7 +199,8 @@ def _count_task(split: str, method: Completer, weight: float, task: _Task) -> li
     samples, results = task.source.split(split), []
     for number in task.numbers:
         sample = samples[number]
-        probability = method.completion(sample, samples).occupancy_probability
+        (prediction,) = answers(method, sample, samples, 0, number, draws=1)
+        probability = prediction.occupancy_probability
         unknown = np.isin(Case(sample, number, samples).classes, UNOBSERVED)
         logits = count_logits(probability, sample.occupancy, unknown, weight)
         denied = float(denial(probability, sample.observed, weight))

@@ -5,7 +5,7 @@ truth best, one rule for the bench and for training."""
 import inspect
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import product
@@ -21,7 +21,7 @@ from scenegen.base.errors import DatasetError, ScenegenError, printable, reraise
 from scenegen.base.files import real_path
 from scenegen.base.limits import GUARD_S
 from scenegen.dataset.read import AnyDataset, Split
-from scenegen.draw.sample import Sample
+from scenegen.draw.sample import Sample, rng_of
 from scenegen.draw.scored import scored_voxels
 from scenegen.model.completion.protocol import (
     PARTS,
@@ -29,10 +29,15 @@ from scenegen.model.completion.protocol import (
     Prediction,
     PredictionError,
     check_prediction,
+    complete_seen,
+    extras_of,
+    forget,
     plain,
 )
 from scenegen.model.completion.stored import check_file, pairs_in, prediction_at, read_guarded
 from scenegen.model.config import METHODS, Thresholds, split_name
+from scenegen.model.inputs import SeenMap
+from scenegen.model.targets import Target
 from scenegen.view.look import evenly
 
 
@@ -44,6 +49,9 @@ class Method(Protocol):
     learned: bool
     """Whether the method was trained, or may have been; not one that is only there to be compared
     with."""
+
+    # a method that draws has `draws = True`, and its `completion` takes random numbers, too; one
+    # with targets of its own has `targets`, by name
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """What the method says about the map of `sample`, which is one of `split`'s."""
@@ -57,23 +65,50 @@ class Completed:
         name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
         lacking = "a `name`, a string" if not isinstance(name, str) else ""
         try:
-            inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
-        except TypeError:
+            extras = extras_of(completer) if callable(complete) else set()
+            signature: Any = inspect.signature(complete)  # type: ignore[arg-type]
+            signature.bind(None, None, grid=None, **dict.fromkeys(extras))
+        except (TypeError, ValueError):
             lacking = "a method `complete` that takes (observed, free, *, grid)"
         if lacking:
             raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")
         self._completer, self.name = completer, printable(name)
         self.learned = bool(getattr(completer, "learned", True))
         """Whatever the completer says of itself; one that says nothing may be."""
+        self.targets: Mapping[str, Target] = getattr(completer, "targets", {})
+        """Targets of its own, by name, whose metrics are measured."""
+        self.draws = "rng" in extras
 
-    def completion(self, sample: Sample, split: Split) -> Prediction:
+    def completion(
+        self, sample: Sample, split: Split, rng: np.random.Generator | None = None
+    ) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no
         prediction."""
-        # copies: a completer may write to what it is given, which the other rows are shown, too
-        maps = sample.observed.copy(), sample.free.copy()
-        prediction = self._completer.complete(*maps, grid=split.dataset.grid)
-        check_prediction(prediction, split.dataset.grid.shape, self.name)
-        return replace(prediction, **{name: plain(getattr(prediction, name)) for name in PARTS})
+        grid = split.dataset.grid
+        forget(self._completer)  # the maps of the bench are no sequence
+        prediction = complete_seen(self._completer, SeenMap.of(sample), grid=grid, rng=rng)
+        check_prediction(prediction, grid.shape, self.name, self.targets)
+        others = {name: plain(values) for name, values in prediction.others.items()}
+        parts = {name: plain(getattr(prediction, name)) for name in PARTS}
+        return replace(prediction, **parts, others=others)
+
+
+def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) -> list[Prediction]:
+    """Ask a method for its answers on a sample.
+
+    Args:
+        method: A `Method`.
+        sample: The sample, which is one of `split`'s.
+        split: Its split.
+        key: Seed and number of the map; with the number of the draw, they decide the random numbers.
+        draws: How many answers a method that draws gives.
+
+    Returns:
+        So many predictions; one of a method that does not draw.
+    """
+    if not getattr(method, "draws", False):
+        return [method.completion(sample, split)]
+    return [method.completion(sample, split, rng_of(*key, draw)) for draw in range(draws)]
 
 
 class Truth:
@@ -263,7 +298,7 @@ def tune(method: Method, dataset: AnyDataset, thresholds: Thresholds) -> Thresho
     for index in evenly(len(split), MAX_TUNING_SAMPLES) if len(split) else ():
         sample = split[index]
         try:
-            completion = method.completion(sample, split)
+            (completion,) = answers(method, sample, split, 0, index, draws=1)
         except KeyError:  # a file that predicts the test split alone
             return thresholds
         name = judged_by(completion)

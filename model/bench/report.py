@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scenegen.base.files import Json
-from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric, ScoredMap
 from scenegen.model.bench.reliability import reliability, reliability_tables
 from scenegen.model.bench.run import DatasetResult, MethodResult
 from scenegen.model.bench.statistics import (
@@ -56,11 +56,19 @@ def summaries(
 
 def reconstruction_of(method: MethodResult, result: DatasetResult) -> Json:
     """The metrics of maps: means over the whole map at the usual thresholds, and variants."""
-    whole_map, unobserved, *by_class, tuned = (
-        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
+    # others have no value in a part of a map
+    in_parts = {name: metric for name, metric in result.metrics.items() if metric.needs != "map"}
+    unobserved, *by_class = (
+        summaries(method, result, in_parts, region) for region in range(1, len(CLASSES) + 2)
     )
+    whole_map, tuned = (summaries(method, result, result.metrics, row) for row in (0, -1))
+    best = {}
+    if method.best is not None:
+        over_best = replace(method, reconstruction=method.best[:, None])
+        best = {BEST_DRAW: summaries(over_best, result, result.metrics)}
     return {
         **whole_map,
+        **best,
         "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
         "unobserved": unobserved,
         "by_class": dict(zip(CLASSES, by_class, strict=True)),
@@ -95,8 +103,8 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
     tested = [
         (region, name)
         for region, metrics in (
-            ("map", METRICS),
-            ("unobserved", METRICS),
+            ("map", result.metrics),
+            ("unobserved", result.metrics),
             ("map", PLAN_METRICS),
             ("unmarked", PLAN_METRICS),
         )
@@ -141,6 +149,8 @@ TUNED = (
 """What must stand beside the paper's figures, wherever they are printed."""
 BEST_IOU = "best_iou"
 """A column of the tables."""
+BEST_DRAW = "best_of_draws"
+"""Key of the metrics of the best draw of each map, by the truth: no method knows which it is."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
 REFERENCES = ("truth", "seen")
 """Rows that read the ground truth, so that they are never marked as the best."""
@@ -183,6 +193,15 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "blocked_lines": sum(trial.line_blocked for trial in first.trials),
             "excluded": dict(result.excluded),
         }
+        if any(method.best is not None for method in result.methods.values()):
+            report["datasets"][result.kind]["draws"] = result.config.draws
+        # a reader of the report has none of the code behind these
+        if more := {
+            name: {"title": metric.title, "better": metric.better, "unit": metric.unit}
+            for name, metric in result.metrics.items()
+            if name not in METRICS
+        }:
+            report["datasets"][result.kind]["metrics"] = more
         parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
         for part, figures_of in parts_of.items():
             report[part][result.kind] = {
@@ -227,7 +246,9 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     says where it lies: `at`.
     """
     metrics, usual = dict[str, Metric](), asdict(Thresholds())
-    for name, metric in METRICS.items():
+    about = report["datasets"][kind]
+    more = {name: Metric(of=_unknown, **entry) for name, entry in about.get("metrics", {}).items()}
+    for name, metric in {**METRICS, **more}.items():
         metrics[name] = metric
         if name == "iou":
             metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
@@ -239,6 +260,9 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
         )
         rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
     yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
+    if best := {method: row[BEST_DRAW] for method, row in rows.items() if BEST_DRAW in row}:
+        title = f"reconstruction, each map's best of {about['draws']} draws by the truth"
+        yield title, {**METRICS, **more}, best, {}
     planning, paper = report["planning"][kind], PAPER["planning"].get(kind, {})
     if not any("unmarked" in row for row in planning.values()):
         yield "planning", PLAN_METRICS, planning, paper
@@ -248,6 +272,11 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     unmarked = {name: row["unmarked"] for name, row in planning.items()}
     yield "planning, known space not marked", metrics, unmarked, paper
     yield "planning, known space marked", metrics, planning, paper
+
+
+def _unknown(scored_map: ScoredMap) -> float:
+    """A metric of which a report tells how it is shown, and not how it is computed."""
+    raise NotImplementedError
 
 
 def blocks(report: Json, kind: str) -> Iterator[str | Table]:

@@ -4,22 +4,31 @@ cores.
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, empty_split
+from scenegen.base.errors import DatasetError, ScenegenError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Rows, Split
 from scenegen.draw.sample import rng_of
-from scenegen.model.bench.methods import Method, check_rows, tune
-from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, measure
+from scenegen.model.bench.methods import Method, answers, check_rows, tune
+from scenegen.model.bench.metrics import (
+    METRICS,
+    PLAN_METRICS,
+    Metric,
+    ScoredMap,
+    find_metrics,
+    measure,
+    metrics_of,
+)
 from scenegen.model.bench.reliability import count_map
 from scenegen.model.bench.trials import (
     Measurement,
@@ -29,9 +38,10 @@ from scenegen.model.bench.trials import (
     risk_of,
     run_trial,
 )
-from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, Case, walled
+from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, UNSCORED, Case, walled
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
+from scenegen.model.targets import Target, truth_of
 from scenegen.truth import distance_field
 from scenegen.view.look import evenly
 
@@ -45,7 +55,8 @@ class MethodResult:
 
     reconstruction: Floats
     """(N, 3 + classes, metrics): over the whole map, over its unknown voxels, then by class of
-    voxels; and last over the whole map again, at the tuned thresholds."""
+    voxels; and last over the whole map again, at the tuned thresholds. Of a method that draws, the
+    means over its draws."""
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
@@ -56,6 +67,10 @@ class MethodResult:
     """Whether the method was trained, or may have been: see `Method.learned`."""
     probabilities: list[Floats]
     """Of every map, see `scenegen.model.bench.reliability.count`; empty unless asked for."""
+    best: Floats | None = None
+    """(N, metrics): of a method that draws, the best of its draws, over the whole map."""
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
+    """The metrics of `reconstruction`, by name."""
 
     @property
     def without_marks(self) -> "MethodResult":
@@ -67,7 +82,7 @@ class MethodResult:
         trial, (trials,)."""
         if metric in PLAN_METRICS:
             return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
-        return self.reconstruction[:, region, [*METRICS].index(metric)]
+        return self.reconstruction[:, region, [*self.metrics].index(metric)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,6 +106,11 @@ class DatasetResult:
     methods: dict[str, MethodResult]
 
     @property
+    def metrics(self) -> Mapping[str, Metric]:
+        """The metrics of maps, by name."""
+        return next(iter(self.methods.values())).metrics
+
+    @property
     def marks_unknown(self) -> bool:
         """Whether these are maps of real places, with trials of `MethodResult.unmarked`."""
         return any(method.unmarked for method in self.methods.values())
@@ -105,6 +125,8 @@ class _MethodOnSample(NamedTuple):
 
     reconstruction: Floats
     """(3 + classes, metrics)"""
+    best: Floats | None
+    """(metrics,)"""
     trials: list[Measurement]
     unmarked: list[Measurement]
     probabilities: Floats | None
@@ -182,9 +204,11 @@ def bench(
     tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
+    targets = _measured_targets(methods, config, split, numbers[0])
+    metrics = metrics_of(targets, config.metrics)
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
-    work = partial(_bench_samples, dataset, methods, tuned, trials_each, config)
+    work = partial(_bench_samples, dataset, methods, tuned, targets, trials_each, config)
     chunks = counted(execute, work, tasks, total=len(numbers), on_start=on_start, on_done=on_done)
     samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
     # (trial's number within its sample, sample): first trials come first, so that a cut to the
@@ -205,15 +229,41 @@ def bench(
         trial_places=tuple((samples[n].number, trial) for trial, n in trials),
         excluded=sum((sample.excluded for sample in samples), start=Counter()),
         methods={
-            method.name: _joined(method, best, results, trials)
+            method.name: _joined(method, best, metrics, results, trials)
             for method, best, results in zip(methods, tuned, by_method, strict=True)
         },
     )
 
 
+def _measured_targets(
+    methods: Sequence[Method], config: BenchConfig, split: Split, index: int
+) -> dict[str, Target]:
+    """Return the targets with metrics: those of the methods, as far as the dataset has their truth,
+    and those that are named, whose truth it must have. Sample `index` shows which it has."""
+    named = find_metrics(config.metrics)[1]
+    targets = dict[str, Target]()
+    for method in methods:
+        targets |= getattr(method, "targets", {})
+    sample, grid = split[index], split.dataset.grid
+    measured = dict[str, Target]()
+    for name, target in {**targets, **named}.items():
+        if target.metrics:
+            try:
+                truth_of(target, name, sample, grid)
+            except ScenegenError as error:
+                if name in named:
+                    raise DatasetError(
+                        f"{split.dataset.name}: has no truth of the target {name} ({error})"
+                    ) from None
+            else:
+                measured[name] = target
+    return measured
+
+
 def _joined(
     method: Method,
     tuned: Thresholds,
+    metrics: Mapping[str, Metric],
     results: Sequence[_MethodOnSample],
     trials: Sequence[tuple[int, int]],
 ) -> MethodResult:
@@ -228,6 +278,8 @@ def _joined(
         probabilities=[
             result.probabilities for result in results if result.probabilities is not None
         ],
+        best=None if results[0].best is None else np.array([result.best for result in results]),
+        metrics=metrics,
     )
 
 
@@ -277,20 +329,23 @@ def _bench_samples(
     dataset: AnyDataset,
     methods: Sequence[Method],
     tuned: Sequence[Thresholds],
+    targets: Mapping[str, Target],
     trials_each: int,
     config: BenchConfig,
     rows: Rows,
 ) -> list[_SampleResult]:
     """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
-    `trials_each` planning trials on each."""
-    split = dataset.split(rows.split)
-    measured = []
+    `trials_each` planning trials on each, and the metrics of `targets`, too."""
+    split, measured = dataset.split(rows.split), []
+    metrics = metrics_of(targets, config.metrics)  # by name: not all metrics can be pickled
     for index in rows.numbers:
         sample = split[index]
         case = Case(sample, index, split)
         drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
+        truth = {"occupancy": sample.occupancy, "tudf": sample.tudf}
+        truth |= {name: truth_of(kind, name, sample, case.grid) for name, kind in targets.items()}
         results = [
-            _bench_method(method, best, case, drawn.goals, config)
+            _bench_method(method, best, case, truth, metrics, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
         ]
         known_share = 1.0 if sample.known is None else float(sample.known.mean())
@@ -300,34 +355,65 @@ def _bench_samples(
 
 
 def _bench_method(
-    method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
+    method: Method,
+    tuned: Thresholds,
+    case: Case,
+    truth: Mapping[str, NDArray[Any]],
+    metrics: Mapping[str, Metric],
+    goals: Floats,
+    config: BenchConfig,
 ) -> _MethodOnSample:
     """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
-    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities."""
-    sample, grid, usual = case.sample, case.grid, config.thresholds
-    prediction = method.completion(sample, case.split)
+    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities. Paths
+    and probabilities are those of the first draw."""
+    sample, usual = case.sample, config.thresholds
+    drawn = answers(method, sample, case.split, config.seed, case.index, draws=config.draws)
 
-    def scores(at: Thresholds) -> Floats:
+    def scores(prediction: Prediction, at: Thresholds) -> Floats:
         """(2 + classes, metrics) of the map at some thresholds."""
+        scored_map = ScoredMap(
+            prediction=prediction,
+            truth=truth,
+            grid=case.grid,
+            thresholds=at,
+            scored=case.classes != UNSCORED,
+            certain=case.certain,
+        )
         return measure(
-            prediction.occupied(at),
-            prediction.distance(at, grid),
-            sample.occupancy,
-            sample.tudf,
+            scored_map,
+            metrics,
             classes=case.classes,
             class_count=len(CLASSES),
             union=UNOBSERVED,
-            certain=case.certain,
         )
 
-    by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
-    trials = plan_all(prediction, case, goals, config)
+    tables = []
+    for prediction in drawn:
+        # most often, these are the same
+        by_thresholds = {at: scores(prediction, at) for at in {usual, tuned}}
+        tables.append(np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]]))
+    reconstruction, best = tables[0], None
+    if getattr(method, "draws", False):
+        reconstruction, best = _over_draws(np.array(tables), metrics)
+    trials = plan_all(drawn[0], case, goals, config)
     unmarked = []
     if sample.known is not None:
-        unmarked = plan_all(prediction, case, goals, config, marked=False)
-    probabilities = count_map(prediction, case) if config.reliability else None
-    reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
-    return _MethodOnSample(reconstruction, trials, unmarked, probabilities)
+        unmarked = plan_all(drawn[0], case, goals, config, marked=False)
+    probabilities = count_map(drawn[0], case) if config.reliability else None
+    return _MethodOnSample(reconstruction, best, trials, unmarked, probabilities)
+
+
+def _over_draws(tables: Floats, metrics: Mapping[str, Metric]) -> tuple[Floats, Floats]:
+    """Return the means over draws of (draws, rows, metrics), without NaN, as (rows, metrics), and
+    of the first row each metric's best draw, (metrics,)."""
+    masked = np.ma.masked_invalid(tables)
+    distances = {"higher": np.negative, "lower": np.positive, "nearer to 0": np.abs}
+    best = np.full(len(metrics), np.nan)
+    for column, metric in enumerate(metrics.values()):
+        values = masked[:, 0, column].compressed()
+        if len(values):
+            best[column] = values[distances[metric.better](values).argmin()]
+    return masked.mean(axis=0).filled(np.nan), best
 
 
 def plan_all(

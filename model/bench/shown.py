@@ -12,7 +12,7 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.files import Json
 from scenegen.dataset.read import Split
 from scenegen.draw.sample import rng_of
-from scenegen.model.bench.methods import Method
+from scenegen.model.bench.methods import Method, answers
 from scenegen.model.bench.planner import Lattice
 from scenegen.model.bench.report import CAUSES, tables
 from scenegen.model.bench.run import DatasetResult, planner_maps, trials_of
@@ -35,7 +35,7 @@ def guesses(
     guessed = []
     for method in methods:
         try:
-            prediction = method.completion(case.sample, split)
+            (prediction,) = answers(method, case.sample, split, config.seed, index, draws=1)
         except KeyError:
             raise DatasetError(f"{method.name} does not predict it") from None
         at = config.thresholds
@@ -107,8 +107,8 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     return pictures
 
 
-CHARTS = {"reconstruction": ("iou", "near_rmse")}
-"""Metrics that are drawn, by table; of planning, the one that leads the table, and clearance."""
+CHARTS = ("iou", "near_rmse")
+"""Metrics of maps that are drawn; of planning, the one that leads the table, and clearance."""
 
 
 def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
@@ -120,7 +120,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
 
     charts = []
     for table, metrics, rows, reference in tables(report, kind):
-        for name in CHARTS.get(table, (next(iter(metrics)), "min_clearance")):
+        planned = next(iter(metrics)), "min_clearance"
+        for name in CHARTS if table.startswith("reconstruction") else planned:
             dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
             papers = {
                 f"{method} (paper)": row[name][0]
@@ -136,7 +137,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
             axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
             axes.invert_yaxis()
             axes.grid(axis="x")
-            charts.append((metrics[name].label, _webp(figure)))
+            _, comma, best_draws = table.partition(", each")
+            charts.append((metrics[name].label + comma + best_draws, _webp(figure)))
     return charts
 
 

@@ -7,7 +7,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -32,7 +32,7 @@ from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import BINARY, PointScan, channels
+from scenegen.model.inputs import BINARY, PointScan, SeenMap, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.model.targets import BUILT_IN, Target, targets_of
@@ -71,6 +71,8 @@ class Completer:
     """Name, device and batch, by which `opened_once` has it in other processes."""
     targets: Mapping[str, Target]
     """What it predicts, by `target_name`."""
+    draws: bool = False
+    """Whether its answers are drawn: a network of one's own that says ``draws = True``."""
     learned = True
 
     def __post_init__(self) -> None:
@@ -101,11 +103,12 @@ class Completer:
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
             run, file = load_onnx(path, threads=threads, own=own)
-            grid, about, inputs = file.grid, file.about, file.config.inputs
+            grid, about, inputs, draws = file.grid, file.about, file.config.inputs, False
             targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)
             inputs, targets = network.config.inputs, network.targets
+            draws = bool(getattr(network, "draws", False))
             unfit = RuntimeError, AssertionError
             with reraise_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
                 placed(network, device)
@@ -126,6 +129,7 @@ class Completer:
             threads=threads,
             opened=(str(name), str(device), batch),
             targets=targets,
+            draws=draws,
         )
 
     def __repr__(self) -> str:
@@ -136,25 +140,35 @@ class Completer:
         maps: Sample | Maps | Mapping[str, Maps],
         *,
         sensor: ArrayLike = (0.0, 0.0, 0.0),
+        rng: np.random.Generator | None = None,
     ) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the points of
-        a scan, (N, 3), metres, in a level frame in which the `sensor` (3,) is the centre of the
-        map, NaN or inf where nothing returned; or, for a network that takes no more, the observed
-        voxels. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back
-        is float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
-        distances are metres, at most the truncation; what the network's variant does not predict is
-        None. Raises ValueError where an input is missing, for another grid, for values that an
-        input cannot hold, and where no point is in the map; PredictionError where the network says
-        NaN, or what is no probability or distance.
+        Args:
+            maps: A dataset's sample; or a named batch of the network's `inputs`; or the points of a
+                scan, (N, 3), metres, in a level frame, NaN or inf where nothing returned; or, for a
+                network that takes no more, the observed voxels. Numpy or torch, numbers 0 and 1 or
+                bool where an input is binary.
+            sensor: Position (3,) of the sensor of a scan, the centre of the map, metres.
+            rng: Random numbers of a network that draws; by default, those of seed 0.
+
+        Returns:
+            float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
+            distances are metres, at most the truncation; None for what the network does not
+            predict.
+
+        Raises:
+            ValueError: An input is missing, of another grid, or holds values that it cannot; or no
+                point is in the map.
+            PredictionError: The network gives NaN, or what is no probability or distance.
         """
         inputs: Any = maps
+        rng = rng or np.random.default_rng(0)
         names = "observed", *self.inputs
         with on_threads(self.threads):
             if getattr(inputs, "ndim", 0) == 2:
                 inputs = self.scan_of(inputs, sensor)
-            if isinstance(inputs, Sample | PointScan):
+            if isinstance(inputs, Sample | PointScan | SeenMap):
                 lidar = getattr(inputs, "lidar", None)  # of points nobody knows it
                 inputs = channels(names, inputs, self.grid, lidar)
             batch = inputs if isinstance(inputs, Mapping) else {"observed": inputs}
@@ -173,7 +187,7 @@ class Completer:
                 for values in tensors.values()
             ]
             parts = [
-                self._complete(dict(zip(tensors, part, strict=True)))
+                self._complete(dict(zip(tensors, part, strict=True)), rng)
                 for part in zip(*split, strict=True)
             ]
             first = batch[self.inputs[0]]
@@ -187,7 +201,7 @@ class Completer:
                 )
             seen = tensors.get("observed")
             prediction = Prediction.of(arrays, calibration=self.calibration, observed=seen)
-            return check_prediction(prediction, shape, self.name)
+            return check_prediction(prediction, shape, self.name, self.targets)
 
     @cached_property
     def digest(self) -> str:
@@ -197,7 +211,9 @@ class Completer:
     def __reduce__(self) -> Any:
         return opened_once, self.opened
 
-    def completion(self, sample: Sample, split: Split) -> Prediction:
+    def completion(
+        self, sample: Sample, split: Split, rng: np.random.Generator | None = None
+    ) -> Prediction:
         """See `scenegen.model.bench.methods.Method`. Raises DatasetError for another grid.
 
         It takes one thread: where many processes complete, each was forked, and a pool of threads
@@ -205,13 +221,22 @@ class Completer:
         """
         with reraise_as(DatasetError), on_threads(1):
             self.check_grid(split.dataset.grid)
-            return self(sample)
+            return self(sample, rng=rng)
 
-    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+    def complete(
+        self,
+        observed: Mask,
+        free: Mask,
+        *,
+        grid: GridSpec,
+        seen: SeenMap | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network
-        takes other inputs."""
+        takes other inputs and `seen` is not given."""
         self.check_grid(grid)
-        return self({"observed": observed, "free": free})
+        maps: Any = {"observed": observed, "free": free} if seen is None else seen
+        return self(maps, rng=rng)
 
     def check_grid(self, grid: GridSpec) -> None:
         """Raise ValueError unless the network completes maps on `grid`."""
@@ -275,8 +300,12 @@ class Completer:
         return tensor
 
     @torch.inference_mode()
-    def _complete(self, maps: Batch) -> dict[str, Tensor]:
-        return self.forward(maps).predictions(self.targets, self.grid)
+    def _complete(self, maps: Batch, rng: np.random.Generator) -> dict[str, Tensor]:
+        # so that the caller's own random numbers stay as they were
+        with torch.random.fork_rng() if self.draws else nullcontext():
+            if self.draws:
+                torch.manual_seed(int(rng.integers(2**63)))
+            return self.forward(maps).predictions(self.targets, self.grid)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from scenegen.base.files import claim, make_parent
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
+from scenegen.draw.sample import rng_of
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.stored import (
     DIGEST,
@@ -127,7 +128,8 @@ def _write(
             batch = [samples[number] for number in numbers[first : first + completer.batch]]
             inputs = [channels(names, sample, grid, sample.lidar) for sample in batch]
             prediction = completer(
-                {name: np.stack([maps[name] for maps in inputs]) for name in names}
+                {name: np.stack([maps[name] for maps in inputs]) for name in names},
+                rng=rng_of(0, numbers[first]),
             )
             predicted = prediction.arrays()
             for n, sample in enumerate(batch):

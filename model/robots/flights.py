@@ -54,11 +54,6 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
         from scenegen.model.completion.completer import opened_once
 
         network = opened_once(weights, "cpu", 1)
-        if set(network.inputs) - {"observed", "free"}:
-            raise ScenegenError(
-                f"{weights}: takes {', '.join(network.inputs)}; robots give "
-                "observed and free voxels alone"
-            )
         memory = name != FORGETFUL
         return lambda course: MappingRobot(network, memory=memory, doubts=True)
     known = {
