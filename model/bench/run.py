@@ -204,7 +204,7 @@ def bench(
     tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
-    targets = _measured_targets(methods, config, split, numbers[0])
+    targets = measured_targets(methods, config, split, numbers[0])
     metrics = metrics_of(targets, config.metrics)
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
@@ -235,7 +235,7 @@ def bench(
     )
 
 
-def _measured_targets(
+def measured_targets(
     methods: Sequence[Method], config: BenchConfig, split: Split, index: int
 ) -> dict[str, Target]:
     """Return the targets with metrics: those of the methods, as far as the dataset has their truth,
@@ -342,8 +342,7 @@ def _bench_samples(
         sample = split[index]
         case = Case(sample, index, split)
         drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
-        truth = {"occupancy": sample.occupancy, "tudf": sample.tudf}
-        truth |= {name: truth_of(kind, name, sample, case.grid) for name, kind in targets.items()}
+        truth = true_maps(case, targets)
         results = [
             _bench_method(method, best, case, truth, metrics, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
@@ -352,6 +351,29 @@ def _bench_samples(
         excluded = Counter(drawn.excluded)
         measured.append(_SampleResult(index, int(sample.world), known_share, excluded, results))
     return measured
+
+
+def true_maps(case: Case, targets: Mapping[str, Target]) -> dict[str, NDArray[Any]]:
+    """Return the truth of occupancy, distances and `targets` of a sample, by target."""
+    sample = case.sample
+    truth: dict[str, NDArray[Any]] = {"occupancy": sample.occupancy, "tudf": sample.tudf}
+    return truth | {
+        name: truth_of(target, name, sample, case.grid) for name, target in targets.items()
+    }
+
+
+def scored_map(
+    prediction: Prediction, case: Case, truth: Mapping[str, NDArray[Any]], at: Thresholds
+) -> ScoredMap:
+    """Put a prediction beside the truth of its sample, for metrics at some thresholds."""
+    return ScoredMap(
+        prediction=prediction,
+        truth=truth,
+        grid=case.grid,
+        thresholds=at,
+        scored=case.classes != UNSCORED,
+        certain=case.certain,
+    )
 
 
 def _bench_method(
@@ -371,16 +393,8 @@ def _bench_method(
 
     def scores(prediction: Prediction, at: Thresholds) -> Floats:
         """(2 + classes, metrics) of the map at some thresholds."""
-        scored_map = ScoredMap(
-            prediction=prediction,
-            truth=truth,
-            grid=case.grid,
-            thresholds=at,
-            scored=case.classes != UNSCORED,
-            certain=case.certain,
-        )
         return measure(
-            scored_map,
+            scored_map(prediction, case, truth, at),
             metrics,
             classes=case.classes,
             class_count=len(CLASSES),

@@ -15,7 +15,14 @@ from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import Method, answers
 from scenegen.model.bench.planner import Lattice
 from scenegen.model.bench.report import CAUSES, tables
-from scenegen.model.bench.run import DatasetResult, planner_maps, trials_of
+from scenegen.model.bench.run import (
+    DatasetResult,
+    measured_targets,
+    planner_maps,
+    scored_map,
+    trials_of,
+    true_maps,
+)
 from scenegen.model.bench.trials import judge, plan_trial
 from scenegen.model.bench.visibility import Case
 from scenegen.model.config import BenchConfig, PlanConfig
@@ -42,7 +49,17 @@ def guesses(
         occupied, tudf = prediction.occupied(at), prediction.distance(at, case.grid)
         maps = planner_maps(prediction, case, config)
         route = None if goal is None else route_to(goal, *maps, case, config.plan)
-        guessed.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
+        targets = measured_targets([method], config, split, index)
+        judged = scored_map(prediction, case, true_maps(case, targets), at)
+        figures = {
+            metric.label: f"{metric.of(judged):.3f}"
+            for target in targets.values()
+            for metric in target.metrics.values()
+        }
+        guess = Guess(
+            name=method.name, occupied=occupied, tudf=tudf, route=route, figures=figures
+        )
+        guessed.append(guess)
     return guessed
 
 
