@@ -10,7 +10,7 @@ predicts it. The batch, the outputs of a network, its loss and its predictions c
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class Target:
     """The least value of a prediction."""
     maximum = np.inf
     """The greatest value of a prediction."""
-    metrics: "Mapping[str, Metric]" = {}
+    metrics: ClassVar["Mapping[str, Metric]"] = {}
     """Metrics of its own, by name, for the bench and validation."""
 
     @abstractmethod

@@ -1,5 +1,7 @@
 """A network that draws: it learns to remove noise from maps, and completes from pure noise."""
 
+from itertools import pairwise
+
 import torch
 from torch import nn
 from torch.nn.functional import binary_cross_entropy_with_logits
@@ -11,7 +13,7 @@ STEPS = 8
 
 
 class Denoiser(nn.Module):
-    """Diffusion of occupancy, by predictions of the clean map (Ho et al. 2020, Song et al. 2021)."""
+    """Diffusion by predictions of the clean map (Ho et al. 2020; Song et al. 2021)."""
 
     draws = True  # every answer has random numbers of its own
     tasks = ("occupancy",)
@@ -47,7 +49,7 @@ class Denoiser(nn.Module):
         noisy = torch.randn_like(batch[self.inputs[0]].float())
         levels = torch.linspace(1, 0, STEPS + 1, device=noisy.device)
         logits = noisy
-        for level, lower in zip(levels[:-1], levels[1:], strict=True):
+        for level, lower in pairwise(levels):
             logits = self.clean(batch, noisy, level.view(1, 1, 1, 1)).float()
             guess = 2 * logits.sigmoid() - 1
             noise = (noisy - (1 - level).sqrt() * guess) / level.sqrt()

@@ -100,7 +100,7 @@ def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) ->
         method: A `Method`.
         sample: The sample, which is one of `split`'s.
         split: Its split.
-        key: Seed and number of the map; with the number of the draw, they decide the random numbers.
+        key: Seed and number of the map, which decide the random numbers of each draw.
         draws: How many answers a method that draws gives.
 
     Returns:

@@ -56,9 +56,7 @@ def guesses(
             for target in targets.values()
             for metric in target.metrics.values()
         }
-        guess = Guess(
-            name=method.name, occupied=occupied, tudf=tudf, route=route, figures=figures
-        )
+        guess = Guess(name=method.name, occupied=occupied, tudf=tudf, route=route, figures=figures)
         guessed.append(guess)
     return guessed
 

@@ -119,4 +119,5 @@ def test_a_robot_shows_a_network_any_input(here):
     maps = channels(inputs, seen, grid, seen.lidar)
     assert_array_equal(maps["observed"], robot.observed)
     below = maps["my_input:reach"][0, 0] < 0
-    assert below[0] and not below[-1]
+    assert below[0]
+    assert not below[-1]
