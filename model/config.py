@@ -123,7 +123,15 @@ def target_name(name: str) -> str:
 
 
 def named(registry: Registry, name: str) -> Any:
-    """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
+    """Import an object of a registry.
+
+    Args:
+        registry: The registry.
+        name: Name of the object.
+
+    Raises:
+        ScenegenError: There is none; the message has one line.
+    """
     with reraise_as(ScenegenError):
         return registry.find(name)
 
@@ -193,7 +201,14 @@ class NetworkConfig:
         return dict(zip(map(target_name, self.targets), self.channels, strict=False)).get(target, 1)
 
     def check_map(self, shape: tuple[int, ...]) -> None:
-        """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
+        """Check that a network of this kind can complete maps.
+
+        Args:
+            shape: Shape of the maps.
+
+        Raises:
+            ValueError: It cannot.
+        """
         if (known := VARIANTS.get(self.variant)) and any(edge % STRIDE for edge in shape):
             raise ValueError(
                 f"maps of {shape} voxels; the network halves them three times, so every edge must "

@@ -47,16 +47,29 @@ def count_logits(
     unknown: Mask,
     class_weight: float,
 ) -> Ints:
-    """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
-    2), free and occupied ones apart. The arrays have one shape."""
+    """Count the unknown voxels of a map by their logit, with the class weight inverted.
+
+    Args:
+        probability: Predicted probabilities (*shape).
+        occupied: True occupancy (*shape).
+        unknown: Voxels to count (*shape).
+        class_weight: Weight of occupied voxels in the network's loss.
+
+    Returns:
+        (logits, 2): free and occupied voxels.
+    """
     steps = (corrected_logit(probability[unknown], class_weight) + MAX_LOGIT) / LOGIT
     at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
 
 def fit_temperature(counts: Ints, powers: Floats) -> float:
-    """The temperature (Guo et al. 2017) at which the counted logits of maps (maps, logits, 2), each
-    with its power (maps,) of it, have the least negative log-likelihood."""
+    """Fit the temperature (Guo et al. 2017) of least negative log-likelihood.
+
+    Args:
+        counts: Counted logits of each map, (maps, logits, 2), see `count_logits`.
+        powers: Exponent of the temperature on each map, (maps,).
+    """
 
     def loss(log_temperature: float) -> float:
         scaled = LOGITS / np.exp(log_temperature * powers)[:, None]

@@ -20,7 +20,7 @@ from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import NEAR_M, OWN_METRICS, Thresholds, named, target_name
-from scenegen.model.targets import Target, target_called
+from scenegen.model.targets import Target
 
 NAN = float("nan")
 
@@ -145,8 +145,8 @@ def chamfer(scored_map: ScoredMap) -> float:
     if count < 2:
         return count * float(np.linalg.norm(scored_map.grid.extent_m))
     voxels = sum(
-        ndimage.distance_transform_edt(~there)[here].mean() / 2
-        for here, there in (surfaces, surfaces[::-1])
+        ndimage.distance_transform_edt(~far)[near].mean() / 2
+        for near, far in (surfaces, surfaces[::-1])
     )
     return float(voxels) * scored_map.grid.voxel_m
 
@@ -234,11 +234,11 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
     metrics, targets = dict[str, Metric](), dict[str, Target]()
     for name in names:
         entry, short = named(OWN_METRICS, name), name.rpartition(":")[2]
-        if inspect.isclass(entry) and issubclass(entry, Target):
-            targets[target_name(name)] = target_called(name)
-            continue
-        if inspect.isclass(entry) and issubclass(entry, Metric):
+        if inspect.isclass(entry):
             entry = entry()
+        if isinstance(entry, Target):
+            targets[target_name(name)] = entry
+            continue
         if not isinstance(entry, Metric) and callable(entry):
             entry = Metric(short.replace("_", " "), entry)
         if not isinstance(entry, Metric) or entry.needs in ("trial", "path"):

@@ -78,8 +78,15 @@ class MethodResult:
         return replace(self, trials=self.unmarked)
 
     def values(self, metric: str, region: int = 0) -> Floats:
-        """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
-        trial, (trials,)."""
+        """Return the values of a metric.
+
+        Args:
+            metric: Its name.
+            region: Row of `reconstruction`, for a metric of maps.
+
+        Returns:
+            (N,) of every map, or (trials,) of every trial.
+        """
         if metric in PLAN_METRICS:
             return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
         return self.reconstruction[:, region, [*self.metrics].index(metric)]
@@ -147,8 +154,15 @@ class _SampleResult(NamedTuple):
 def check_middle(
     dataset: AnyDataset, instead: str = "bench datasets whose maps lie around the sensor"
 ) -> None:
-    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
-    would not begin at the sensor."""
+    """Check that maps lie around the sensor, since plans begin in their middle.
+
+    Args:
+        dataset: The dataset.
+        instead: What errors advise.
+
+    Raises:
+        DatasetError: They lie elsewhere.
+    """
     for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
@@ -158,9 +172,16 @@ def check_middle(
 
 
 def check_whole(dataset: AnyDataset, instead: str) -> None:
-    """Raise DatasetError, with what to do `instead`, for maps of real places, of which not all is
-    known."""
-    if any(one.manifest.known is not None for one in dataset.datasets):
+    """Check that all of every map is known.
+
+    Args:
+        dataset: The dataset.
+        instead: What errors advise.
+
+    Raises:
+        DatasetError: These are maps of real places.
+    """
+    if any(part.manifest.known is not None for part in dataset.datasets):
         raise DatasetError(
             f"{dataset.name}: its samples are of maps of real places, which do not know all; "
             f"{instead}"
@@ -168,7 +189,15 @@ def check_whole(dataset: AnyDataset, instead: str) -> None:
 
 
 def filled(dataset: AnyDataset, split: str) -> Split:
-    """A split of a dataset. Raises DatasetError where it is empty."""
+    """Return a split that has samples.
+
+    Args:
+        dataset: The dataset.
+        split: Name of the split.
+
+    Raises:
+        DatasetError: It is empty.
+    """
     samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
@@ -185,12 +214,20 @@ def bench(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> DatasetResult:
-    """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
-    goals for every method.
+    """Measure methods on a dataset, with the same goals for every method.
 
-    `execute` has a few samples measured at a time. `on_start` is called with the number of samples
-    once the work has begun, `on_done` with how many more are measured. Raises DatasetError for an
-    empty split, and where `execute` leaves samples to others: a report is of all of them.
+    Args:
+        dataset: The dataset.
+        methods: The methods.
+        config: What is measured.
+        kind: Measure only samples of this kind of worlds.
+        execute: Measures a few samples at a time.
+        on_start: Called with the number of samples once the work has begun.
+        on_done: Called with the number of samples of each part that is done.
+
+    Raises:
+        DatasetError: The split is empty, or `execute` leaves samples to other processes: a report
+            is of all of them.
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
@@ -238,8 +275,17 @@ def bench(
 def measured_targets(
     methods: Sequence[Method], config: BenchConfig, split: Split, index: int
 ) -> dict[str, Target]:
-    """Return the targets with metrics: those of the methods, as far as the dataset has their truth,
-    and those that are named, whose truth it must have. Sample `index` shows which it has."""
+    """Find the targets whose metrics are measured on a dataset.
+
+    Args:
+        methods: Methods, whose targets count as far as the dataset has their truth.
+        config: Names further targets.
+        split: The split.
+        index: Number of a sample, which shows what the dataset has.
+
+    Raises:
+        DatasetError: The dataset lacks the truth of a named target.
+    """
     named = find_metrics(config.metrics)[1]
     targets = dict[str, Target]()
     for method in methods:
@@ -292,11 +338,19 @@ def bench_all(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> list[DatasetResult]:
-    """Measure `methods` on every kind of worlds in `datasets`; for `on_start` and `on_done`, which
-    are called for each kind, see `bench`.
+    """Measure methods on every kind of worlds of some datasets.
 
-    Raises DatasetError where a file of predictions is not of all datasets, and where two datasets
-    have samples of one kind; and as `bench` does.
+    Args:
+        datasets: The datasets.
+        methods: The methods.
+        config: What is measured.
+        execute: Measures a few samples at a time.
+        on_start: Called for each kind, see `bench`.
+        on_done: Called for each kind, see `bench`.
+
+    Raises:
+        DatasetError: A file of predictions is not of all datasets, two datasets have samples of one
+            kind, or as in `bench`.
     """
     check_rows(methods, datasets, config.split)
     tables = [
@@ -354,7 +408,15 @@ def _bench_samples(
 
 
 def true_maps(case: Case, targets: Mapping[str, Target]) -> dict[str, NDArray[Any]]:
-    """Return the truth of occupancy, distances and `targets` of a sample, by target."""
+    """Return the truth of occupancy, distances and further targets of a sample.
+
+    Args:
+        case: The sample.
+        targets: Further targets by name.
+
+    Returns:
+        (*grid.shape) or (channels, *grid.shape), by target.
+    """
     sample = case.sample
     truth: dict[str, NDArray[Any]] = {"occupancy": sample.occupancy, "tudf": sample.tudf}
     return truth | {
@@ -365,7 +427,14 @@ def true_maps(case: Case, targets: Mapping[str, Target]) -> dict[str, NDArray[An
 def scored_map(
     prediction: Prediction, case: Case, truth: Mapping[str, NDArray[Any]], at: Thresholds
 ) -> ScoredMap:
-    """Put a prediction beside the truth of its sample, for metrics at some thresholds."""
+    """Put a prediction beside the truth of its sample.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        truth: From `true_maps`.
+        at: Thresholds of the prediction.
+    """
     return ScoredMap(
         prediction=prediction,
         truth=truth,
@@ -433,8 +502,15 @@ def _over_draws(tables: Floats, metrics: Mapping[str, Metric]) -> tuple[Floats, 
 def plan_all(
     prediction: Prediction, case: Case, goals: Floats, config: BenchConfig, *, marked: bool = True
 ) -> list[Measurement]:
-    """Plan on what is predicted of a sample's map to every goal (trials, 3), map frame, metres, and
-    judge in its truth. See `planner_maps` for `marked`."""
+    """Plan to every goal of a sample on its predicted map, and judge in the truth.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        goals: (trials, 3), map frame, metres.
+        config: Thresholds and planner.
+        marked: See `planner_maps`.
+    """
     occupied, distance, risk = planner_maps(prediction, case, config, marked=marked)
     sample, grid, plan = case.sample, case.grid, config.plan
     obstacle, crossed = sample.occupancy.reshape(-1), sample.free.reshape(-1)
@@ -455,26 +531,43 @@ def plan_all(
 
 
 def planner_maps(
-    said: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
+    prediction: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
 ) -> tuple[Mask, Field, Field | None]:
-    """What the planner of `config` is given of a prediction: a collision map, distances, metres,
-    and for the careful planner the risk of every voxel, (*grid.shape) each. If `marked`, voxels
-    that are unknown in a map of a real place are occupied, whatever is predicted of them."""
+    """Make the maps that the planner gets from a prediction.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        config: Thresholds and planner.
+        marked: Whether voxels that are unknown in a map of a real place are occupied, whatever is
+            predicted.
+
+    Returns:
+        A collision map, distances, metres, and the risk of every voxel for the careful planner,
+        (*grid.shape) each.
+    """
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
     sample, grid = case.sample, case.grid
     if careful:
         at = replace(at, probability=plan.careful_probability)
-    occupied, distance = said.occupied(at), said.distance(at, grid)
+    occupied, distance = prediction.occupied(at), prediction.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
     if marked:
         occupied, distance = walled(occupied, distance, sample.known, grid)
     seen = sample.observed | sample.free
-    return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
+    return occupied, distance, risk_of(prediction, occupied, seen, plan) if careful else None
 
 
 def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator) -> Trials:
-    """The first `count` trials on the map of a sample, with goals within its world."""
+    """Draw trials on the map of a sample, with goals within its world.
+
+    Args:
+        case: The sample.
+        plan: The planner.
+        count: How many.
+        rng: Random numbers.
+    """
     world = case.split.home(case.index).tables.world  # those from MJCF files have no box
     origin = case.sample.origin
     bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin

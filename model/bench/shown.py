@@ -32,9 +32,21 @@ from scenegen.view.look import Guess, Route, look_into
 def guesses(
     methods: Sequence[Method], config: BenchConfig, trial: int | None, split: Split, index: int
 ) -> list[Guess]:
-    """What `methods` say of sample `index` of a split, each with its path to the goal of the
-    bench's trial number `trial` in that sample, at the thresholds and by the planner of `config`;
-    without paths where `trial` is None, or the sample has no such trial."""
+    """Predict a sample by several methods, and plan on each prediction.
+
+    Args:
+        methods: The methods.
+        config: Thresholds and planner.
+        trial: Number of the bench's trial in this sample, whose goal paths lead to; None: no paths.
+        split: The split.
+        index: The sample's number in it.
+
+    Returns:
+        The predictions. They have no path if the sample has no such trial.
+
+    Raises:
+        DatasetError: A file of predictions lacks the sample.
+    """
     case, goal = Case(split[index], index, split), None
     if trial is not None:
         goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
@@ -64,8 +76,16 @@ def guesses(
 def route_to(
     goal: Floats, occupied: Mask, tudf: Field, risk: Field | None, case: Case, config: PlanConfig
 ) -> Route:
-    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
-    truth; see `scenegen.model.bench.trials.run_trial`."""
+    """Plan a path on predicted maps as the bench does, and judge it in the truth.
+
+    Args:
+        goal: The goal (3,), map frame, metres.
+        occupied: Predicted occupancy (*grid.shape).
+        tudf: Predicted distances (*grid.shape), metres.
+        risk: Risk of every voxel for the careful planner, or None.
+        case: The sample.
+        config: The planner.
+    """
     origin, grid = case.sample.origin, case.grid
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
     measured = judge(plan, refined, *case.truth, grid)
@@ -105,8 +125,18 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
 
 
 def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
-    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
-    installed."""
+    """Draw trials in which the best learned method hits an obstacle.
+
+    Args:
+        result: All methods on a dataset.
+        methods: The methods.
+
+    Returns:
+        Captions and WebP images.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
     from scenegen.view.figures import draw_paths
 
     learned = [method for method in methods if method.learned]
@@ -127,8 +157,18 @@ CHARTS = ("iou", "near_rmse")
 
 
 def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
-    """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
-    ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
+    """Draw charts: a dot with its interval for each method, a ring for each of the paper's.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind of worlds.
+
+    Returns:
+        Captions and WebP images.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
     from matplotlib.figure import Figure
 
     from scenegen.view.panels import MAP, SOFT, plain

@@ -51,18 +51,18 @@ class Prediction:
         return f"<Prediction: {names} {tuple(getattr(self, parts[0]).shape)}>"
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Any], **more: Any) -> "Prediction":
+    def of(cls, arrays: Mapping[str, Any], **fields: Any) -> "Prediction":
         """From its arrays by name: `PARTS`, and others."""
         parts = {name: arrays[name] for name in PARTS if name in arrays}
         others = {name: values for name, values in arrays.items() if name not in PARTS}
-        return cls(**parts, **more, others=others)
+        return cls(**parts, **fields, others=others)
 
     def arrays(self) -> dict[str, Any]:
         """What a file keeps of it, by name: those of `STORED` that it has as float32, and
         others."""
         stored = {name: plain(getattr(self, name)) for name in STORED}
-        kept = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
-        return kept | {name: plain(values) for name, values in self.others.items()}
+        arrays = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
+        return arrays | {name: plain(values) for name, values in self.others.items()}
 
     def _repr_html_(self) -> str:
         """For notebooks: what each part is, its least, mean and greatest number."""
@@ -86,7 +86,16 @@ class Prediction:
         return self.tudf < np.float32(thresholds.distance_m)
 
     def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:
-        """The distance field, (*shape), metres, at most the truncation."""
+        """Return the distance field.
+
+        Args:
+            thresholds: Thresholds of occupancy, whose transform replaces missing distances; None:
+                the paper's.
+            grid: The grid.
+
+        Returns:
+            (*shape): metres, at most the truncation.
+        """
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
         return distance_field(self.occupied(thresholds), grid)
@@ -137,7 +146,7 @@ STORED = *PARTS, "probability"
 
 
 def check_prediction(
-    found: Any,
+    answer: Any,
     shape: tuple[int, ...],
     who: str,
     targets: Mapping[str, Target | type[Target]] = BUILT_IN,
@@ -148,35 +157,35 @@ def check_prediction(
     beyond the truncation are allowed.
 
     Args:
-        found: What the method gave.
+        answer: What the method gave.
         shape: Shape of its numpy or torch arrays; those of other targets may have channels before
             x.
         who: The method's name, for errors.
         targets: Targets by name, whose bounds predictions keep.
 
     Returns:
-        `found`.
+        `answer`.
 
     Raises:
         PredictionError: It is not a `Prediction`, or holds what it should not.
     """
-    if not isinstance(found, Prediction):
+    if not isinstance(answer, Prediction):
         raise PredictionError(
-            f"{who}: gives {type(found).__name__}, expected a "
+            f"{who}: gives {type(answer).__name__}, expected a "
             f"scenegen.model.completion.protocol.Prediction"
         )
-    parts = {name: getattr(found, name) for name in PARTS} | dict(found.others)
-    if isinstance(found.calibration, StoredProbability):  # one computed here needs no check
-        parts["probability"] = found.calibration.probability
+    parts = {name: getattr(answer, name) for name in PARTS} | dict(answer.others)
+    if isinstance(answer.calibration, StoredProbability):  # one computed here needs no check
+        parts["probability"] = answer.calibration.probability
     for name, values in parts.items():
         if values is None:
             continue
         target = BUILT_IN["occupancy"] if name == "probability" else PARTS.get(name, Target)
         target = targets.get(name, target)
-        given = tuple(getattr(values, "shape", ()))
-        if name in found.others and len(given) == len(shape) + 1:  # which has channels
-            given = (*given[:-4], *given[-3:])
-        if given != tuple(shape):
+        array_shape = tuple(getattr(values, "shape", ()))
+        if name in answer.others and len(array_shape) == len(shape) + 1:  # which has channels
+            array_shape = (*array_shape[:-4], *array_shape[-3:])
+        if array_shape != tuple(shape):
             held = (
                 f"an array of shape {tuple(values.shape)}"
                 if hasattr(values, "shape")
@@ -196,7 +205,7 @@ def check_prediction(
             raise PredictionError(
                 f"{who}: {name} holds {held}, expected {target.meaning} in every voxel"
             )
-    return found
+    return answer
 
 
 class MapCompleter(Protocol):
@@ -212,7 +221,13 @@ class MapCompleter(Protocol):
     """How the method is called in tables."""
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """Complete one map from its observed and free voxels, (*grid.shape) each."""
+        """Complete one map.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+        """
         ...
 
 

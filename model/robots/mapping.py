@@ -37,8 +37,17 @@ PLAN = PlanConfig(step_voxels=2, iterations=20)
 
 
 def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
-    """The voxels of a grid, counted from the world's origin, that lie wholly within `bounds`
-    (2, 3), metres, at least one along each axis: how many, and the first (3,)."""
+    """Find the voxels that lie wholly within bounds, at least one along each axis.
+
+    Voxels are counted from the world's origin.
+
+    Args:
+        bounds: Least and greatest corner (2, 3), world, metres.
+        grid: Its voxel's size.
+
+    Returns:
+        A grid of so many voxels, and the first voxel (3,).
+    """
     low, high = np.floor(np.asarray(bounds) / grid.voxel_m).astype(np.int64)
     x, y, z = np.maximum(high - low - 1, 1).tolist()
     return replace(grid, shape=(x, y, z)), low + 1
