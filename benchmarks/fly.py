@@ -1,8 +1,8 @@
 """Does completing the scene help a robot that moves? Robots fly the suite: docs/results/fly.md.
 
-    python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks; the page
+    python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks: fly.csv
     python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
-    python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.md
+    python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.csv
 
 ENTRIES is a folder with an entry of each robot, as `scenegen fly suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no

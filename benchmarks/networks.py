@@ -1,12 +1,14 @@
 """What the networks' variants cost: parameters, multiply-accumulates, memory of a training step.
 
-python benchmarks/networks.py
+python benchmarks/networks.py       # a table of docs/results/columns.csv
 """
 
+from pathlib import Path
 from typing import Any
 
 import measuring
 import torch
+from scoring import RESULTS, publish, titled
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
@@ -15,9 +17,14 @@ from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import build
 
+TITLE = "## Cost of a variant for one map of 80 × 80 × 40 (benchmarks/networks.py)"
+
 
 class Options(measuring.Options):
-    """Nothing to choose."""
+    """What is measured leaves nothing to choose."""
+
+    figures: Path = RESULTS / "columns.csv"
+    """where the table is written"""
 
 
 def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
@@ -51,15 +58,16 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print a row for every variant, for maps of the usual grid."""
-    measuring.parse(Options)
-    print("| variant | parameters | GMACs | activations |\n|---|---|---|---|")
+    """Write a row for every variant, for maps of the usual grid."""
+    options = measuring.parse(Options)
+    rows = []
     for variant in VARIANTS:
         row = cost(NetworkConfig(variant=variant), GridSpec().shape)
-        print(
-            f"| `{variant}` | {row['parameters']:,} | {row['macs'] / 1e9:.2f} | "
-            f"{row['activation_bytes'] / 1e6:.0f} MB |"
+        gmacs, megabytes = row["macs"] / 1e9, row["activation_bytes"] / 1e6
+        rows.append(
+            (f"`{variant}`", (f"{row['parameters']:,}", f"{gmacs:.2f}", f"{megabytes:.0f} MB"))
         )
+    publish(options, titled(TITLE, ("parameters", "GMACs", "activations"), rows))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the paper claims, what a bench says of it, and the study for people.
+"""What the paper claims, what a bench says of it, and the study's claims as a table.
 
 Every bold cell of the paper's tables is a claim: this method is better than each other one, by this
 metric, on this kind of worlds. A claim is judged by the mean difference over all seeds of both
@@ -9,6 +9,8 @@ Biometrics Bulletin 2, 1946. All claims together are held to one level (S. Holm,
 sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979).
 """
 
+import csv
+import io
 import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
@@ -22,17 +24,14 @@ import numpy as np
 from lidarsim.grid import Floats
 from scenegen.base.files import Json
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
-from scenegen.model.bench.report import PAPER, TUNED, summaries
+from scenegen.model.bench.report import PAPER, summaries
 from scenegen.model.bench.run import DatasetResult
 from scenegen.model.bench.statistics import (
     Estimate,
-    caution,
     estimate,
     holm,
-    interval,
 )
 from scenegen.model.config import TrainConfig
-from scenegen.model.tables import markdown
 
 QUESTIONS = {
     "Q1": (
@@ -317,71 +316,26 @@ def gain(
     return estimate(sums, measured.worlds_of(metric), of)
 
 
-RULE = f"""
-A claim says that one of the paper's methods is better than another, by one metric, on one kind of
-worlds. Each bold cell of the paper's tables gives a claim against every row that is worse. The
-difference is the mean over all pairs of seeds; it is positive if the claim is right. A claim is
-confirmed if its difference is positive and significant, contradicted if it is negative and
-significant, and undecided otherwise. Significant means at a family-wise level of {LEVEL:g} (Holm),
-over worlds and training seeds, with two seeds or more of each method. A contradicted claim is
-refuted if its networks were trained for {PATIENCE} epochs after their lowest validation loss, as
-the paper's early stopping asks. A question has a verdict if all claims that `proposed` is best have
-this verdict. {TUNED}
-""".strip().replace("\n", " ")
+TABLES = {
+    "claims": "the paper's claims",
+    "paths": "claims about paths, over trials where both methods have a path",
+}
+"""Parts of a study that stand in its file of claims, and what each is called there."""
 
 
-def to_markdown(study: Json) -> str:
-    """Verdicts, then how they were reached, then the figures behind them."""
-    settings, runs = study["settings"], study["runs"]
-    devices = ", ".join(sorted({run["device"] for run in runs.values()}))
-    hours = sum(run["hours"] for run in runs.values())
-    verdicts = [
-        (f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"])))
-        for name, said in study["verdicts"].items()
-    ]
-    all_claims = Counter(claim["verdict"] for claim in study["claims"])
-    blocks = [
-        "# The study",
-        f"The paper's tables make {all_claims.total()} claims: {_counts(all_claims)}.",
-        markdown(("verdict", "claims"), verdicts),
-        "## How it was measured",
-        RULE,
-        f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
-        f"scale {settings['scale']:g}. Each saw {settings['maps'] * settings['scale']:.0f} maps at "
-        f"most. Training took {hours:.1f} hours on {devices}. [study.json](study.json) has all "
-        "figures: p-values, means of every run with intervals, each pair of seeds, and "
-        "comparisons that the paper does not make. Below are differences with 95 % intervals.",
-    ]
-    if study["missing"]:
-        names = ", ".join(f"`{name}`" for name in study["missing"])
-        blocks.append(f"**Not trained**: {names}. Claims without networks are left out below.")
-    for kind, worlds in study["worlds"].items():
-        if few := caution(worlds):
-            blocks.append(f"**{kind}: {few}.**")
-    for title, claims in (
-        ("## The paper's claims", study["claims"]),
-        ("## Claims about paths, over trials where both methods have a path", study["paths"]),
-    ):
-        blocks += [title, _by_kind(claims, list(study["worlds"]))]
-    return "\n\n".join(blocks) + "\n"
-
-
-def _counts(verdicts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
-
-
-def _by_kind(claims: Sequence[Json], kinds: Sequence[str]) -> str:
-    """A row for each claim and a column for each kind of worlds, where it is one."""
-    rows: dict[str, dict[str, str]] = {}
-    for claim in claims:
-        if claim["pairs"]:
-            name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
-            rows.setdefault(name, {})[claim["kind"]] = _judged(claim)
-    cells = ((name, [found.get(kind, "") for kind in kinds]) for name, found in rows.items())
-    return markdown(kinds, cells)
-
-
-def _judged(claim: Json) -> str:
-    """The verdict of a claim, and the difference behind it."""
-    value = "–" if claim["difference"] is None else f"{claim['difference']:+.3f}"
-    return f"{claim['verdict']}: {value} {interval(claim, '+.3f')}"
+def to_csv(study: Json) -> str:
+    """Every claim that was tested, as CSV: its verdict, the mean difference over seeds (positive if
+    the claim is right) and its 95 % interval over worlds and seeds."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("table", "kind", "claim", "verdict", "difference", "low", "high"))
+    for part, title in TABLES.items():
+        for claim in study[part]:
+            if claim["pairs"]:
+                name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
+                values = (
+                    "" if claim[key] is None else f"{claim[key]:+.3f}"
+                    for key in ("difference", "low", "high")
+                )
+                writer.writerow((title, claim["kind"], name, claim["verdict"], *values))
+    return text.getvalue()

@@ -43,7 +43,7 @@ class Check:
     It has a function for each level that it examines. The function gets the object and the check's
     page of the ledger, where it records faults, counts what it examined, and keeps data for the
     final level. A CorruptFileError becomes a fault of the check. A check that counts nothing and
-    no faults is reported as skipped, so checks count samples without findings, too.
+    has no faults is reported as skipped, so checks count samples without findings, too.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The study's page says what its figures say, and its verdicts follow from them."""
+"""The study's table and page say what its figures say, and its verdicts follow from them."""
 
 import json
 import re
@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.paper.claims import PATIENCE, judged, to_markdown, waited
-from scenegen.model.bench.report import TUNED
+from benchmarks.paper.claims import PATIENCE, judged, to_csv, waited
 
 DOCS = Path(__file__).parents[2] / "docs"
+VERDICTS = "confirmed", "contradicted", "undecided"
 
 
 @pytest.fixture(scope="module")
@@ -17,9 +17,16 @@ def study():
     return json.loads((DOCS / "results" / "study.json").read_text(encoding="utf-8"))
 
 
-def test_the_page_is_made_of_the_figures(study):
-    assert (DOCS / "results" / "study.md").read_text(encoding="utf-8") == to_markdown(study)
-    assert TUNED in to_markdown(study)
+def test_the_table_of_claims_is_made_of_the_figures(study):
+    assert (DOCS / "results" / "study.csv").read_text(encoding="utf-8") == to_csv(study)
+
+
+def test_the_page_counts_verdicts_as_the_figures_do(study):
+    page = (DOCS / "results" / "findings.md").read_text(encoding="utf-8")
+    for question, found in study["verdicts"].items():
+        counts = (found["claims"].get(name, "") for name in VERDICTS)
+        row = re.search(rf"^\| {question}: [^|]*\|[^|]*\|(.*)\|$", page, re.MULTILINE)
+        assert [cell.strip() for cell in row[1].split("|")] == [str(count) for count in counts]
 
 
 def test_every_claim_has_what_its_verdict_rests_on(study):
