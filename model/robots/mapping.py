@@ -17,7 +17,7 @@ from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 from scenegen.model.bench.planner import field_at, refine
 from scenegen.model.bench.trials import RATHER, risk_of
-from scenegen.model.completion.protocol import MapCompleter, Returns, complete_seen, forget
+from scenegen.model.completion.protocol import Returns, complete_seen, forget
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.inputs import SeenMap
 from scenegen.model.robots.steering import LAG_S, follow, no_way
@@ -67,7 +67,7 @@ class MappingRobot:
 
     def __init__(
         self,
-        completer: MapCompleter,
+        completer: Any,  # a MapCompleter, which may name more arguments
         *,
         memory: bool = True,
         frontier: bool = False,
