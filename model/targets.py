@@ -26,8 +26,6 @@ from scenegen.truth import distance_field
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from scenegen.model.bench.metrics import Metric
-
 Terms = Mapping[str, "Tensor"]
 """Scalars of a loss, by name."""
 
@@ -47,8 +45,9 @@ class Target:
     """The least value of a prediction."""
     maximum = np.inf
     """The greatest value of a prediction."""
-    metrics: ClassVar["Mapping[str, Metric]"] = {}
-    """Metrics of its own, by name, for the bench and validation."""
+    metrics: ClassVar[Mapping[str, Any]] = {}
+    """Metrics of its own by name, each a `scenegen.model.bench.metrics.Metric`, for the bench and
+    validation."""
 
     @abstractmethod
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
@@ -114,7 +113,13 @@ class Occupancy(Target):
     def loss(
         self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
-        """Eq. 8 and the Lovász hinge, weighted."""
+        """Eq. 8 and the Lovász hinge, weighted; see `Target.loss`.
+
+        Args:
+            output: Logits.
+            batch: Holds `occupancy`, and maybe `known`.
+            objective: See `Target.loss`.
+        """
         config, truth = objective.config, (batch["occupancy"], batch.get("known"))
         terms = {"occupancy": objective.occupancy_loss(output, *truth)}
         total = terms["occupancy"]
@@ -147,7 +152,13 @@ class Tudf(Target):
     def loss(
         self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
-        """Eq. 9 and 10, weighted."""
+        """Eq. 9 and 10, weighted; see `Target.loss`.
+
+        Args:
+            output: Distances, metres.
+            batch: Holds `tudf`, and maybe `certain`.
+            objective: See `Target.loss`.
+        """
         config, truth = objective.config, (batch["tudf"], batch.get("certain"))
         terms = {"regression": objective.regression_loss(output, *truth)}
         total = terms["regression"]

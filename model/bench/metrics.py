@@ -48,8 +48,15 @@ class Sums(NamedTuple):
     """Voxels that are occupied, and not predicted to be."""
 
     def share(self, part: float, whole: float) -> float:
-        """`part` of `whole`; 0 of nothing, and 1 where nothing is occupied and nothing
-        predicted."""
+        """Divide two sums.
+
+        Args:
+            part: The part.
+            whole: The whole.
+
+        Returns:
+            The share; 0 of nothing, and 1 where nothing is occupied and nothing predicted.
+        """
         nothing = self.hits + self.alarms + self.misses == 0
         return 1.0 if nothing else part / whole if whole else 0.0
 
