@@ -49,3 +49,7 @@ class Robot(MappingRobot):
 
     def __init__(self):
         super().__init__(Remembering(), memory=False, doubts=True)
+
+    def reset(self, about):
+        super().reset(about)
+        self.rehearse()  # the first decision takes longer than a robot may think

@@ -70,10 +70,10 @@ class Completed:
         name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
         lacking = "a `name`, a string" if not isinstance(name, str) else ""
         try:
-            extras = extras_of(completer) if callable(complete) else set()
+            extras = extras_of(completer)
             signature: Any = inspect.signature(complete)  # type: ignore[arg-type]
             signature.bind(None, None, grid=None, **dict.fromkeys(extras))
-        except (TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError):
             lacking = "a method `complete` that takes (observed, free, *, grid)"
         if lacking:
             raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")

@@ -287,12 +287,11 @@ def measured_targets(
         DatasetError: The dataset lacks the truth of a named target.
     """
     named = find_metrics(config.metrics)[1]
-    targets = dict[str, Target]()
+    targets, sample, grid = dict[str, Target](), split[index], split.dataset.grid
     for method in methods:
         targets |= getattr(method, "targets", {})
-    sample, grid = split[index], split.dataset.grid
     measured = dict[str, Target]()
-    for name, target in {**targets, **named}.items():
+    for name, target in (targets | named).items():
         if target.metrics:
             try:
                 truth_of(target, name, sample, grid)

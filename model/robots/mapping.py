@@ -96,6 +96,21 @@ class MappingRobot:
         """What was observed, and what is free, wherever the window may come; `_least` is the
         first voxel."""
 
+    def rehearse(self) -> None:
+        """Decide once for nothing, then `reset`: in a process of its own, the first decision would
+        take too long, for kernels are compiled or loaded."""
+        about = self._about
+        self.act(
+            {
+                "ranges": np.full(about["times_s"].shape, np.inf, np.float32),
+                "position": about["bounds"].mean(axis=0),
+                "quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
+                "velocity": np.zeros(3),
+                "goal": about["goal"],
+            }
+        )
+        MappingRobot.reset(self, about)
+
     def _forget(self) -> None:
         """Hold for free, and without risk, all that the window does not show."""
         shape, far = self._fence.shape, self.grid.truncation_m
