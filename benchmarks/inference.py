@@ -72,7 +72,7 @@ def main() -> None:
 def runners(network: Network, options: Any) -> dict[str, Way]:
     """Ways to run `network`, by name."""
     file = Path(tempfile.mkdtemp(), "net.onnx")
-    export_onnx(network, GRID, file, about={})
+    export_onnx(network, GRID, file, metadata={})
     placed(network, "cpu")
     ways: dict[str, Way] = {"eager": network}
     if resolve_precision("auto", torch.device("cpu")) == torch.bfloat16:

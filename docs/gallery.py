@@ -1,8 +1,7 @@
-"""Draw the gallery's worlds and sheets, and write its page; or draw the pictures of docs/look.md
-and docs/sensor.md.
+"""Draw the sheets of all sensors and of all stages of noise, or the pictures of docs/look.md and
+docs/sensor.md.
 
-    python docs/gallery.py          # docs/worlds.md, docs/pictures/gallery/*.webp, and the
-                                    # pictures of `pictures.py`, which needs pyvista
+    python docs/gallery.py          # docs/pictures/gallery/*.webp
     python docs/gallery.py sensors  # docs/pictures/sensors/*.png
     python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
     python docs/gallery.py page     # those of the page in a browser: `pip install playwright`, and
@@ -34,7 +33,6 @@ from scenegen.draw.source import read_world
 from scenegen.view.canvas import DISTANCES, colour
 from scenegen.view.panels import to_bytes
 from scenegen.view.pictures import draw_patterns
-from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent
@@ -88,69 +86,14 @@ TABS = {
     "world": (800, "data/pillar", "", "&layers=points~occupancy~world"),
 }
 """The height in pixels, the dataset, the networks and the address of each picture of the page."""
-MARK = "<!-- gallery -->"
-"""Below it, docs/worlds.md is written anew."""
-PAGE = """
-Written by `python docs/gallery.py`.
-
-### Worlds
-
-Every kind of world, as its preset draws it: the solids, the viewpoints of a flight,
-and the map's box about one of them.
-
-{worlds}
-
-### Sensors
-
-Every [sensor](sensor.md#the-catalogue) by its name, at one pose in
-`scenes/warehouse.xml`. A dot is a return: azimuth from 180° at the left to −180°, elevation from
-−60° to 60°, dark for near, yellow for {far:g} m and more.
-
-![every sensor's returns of the same scene](pictures/gallery/sensors.webp)
-
-### Noise
-
-Every [stage of noise](settings.md#stages-of-noise), seen from above in the same scene: grey
-without it, coloured by range with it (`intensity`: by brightness). Stages are stronger here than a
-sensor has them.
-
-![every stage of noise, before and after](pictures/gallery/noise.webp)
-
-### Networks, at home
-
-The paper's three networks on a test sample of `geometric`, a kind that they learned from
-([complete](complete.md#bundled-networks)); magenta is missed, black is invented.
-
-![completions beside the truth](pictures/look/completions.webp)
-
-### Networks, away
-
-`anywhere` in real places, none of which it was trained in: of each, the map with the median IoU
-([results](results/real.md)).
-
-| a building, indoors | a campus |
-|---|---|
-| ![geb079](pictures/real/geb079.png) | ![fr_campus](pictures/real/fr_campus.png) |
-"""
 
 
 def main() -> None:
-    """Write the page, its sheets and its worlds."""
-    subprocess.run([sys.executable, DOCS / "pictures.py"], check=True)
-    SHEETS.mkdir(parents=True, exist_ok=True)
+    """Draw the sheets."""
     world = read_world(SCENE)
+    SHEETS.mkdir(parents=True, exist_ok=True)
     for name, figure in (("sensors", sensors(world)), ("noise", noise(world))):
         (SHEETS / f"{name}.webp").write_bytes(to_bytes(figure, ".webp"))
-    names = kind_names()
-    cells = [f"| ![{name}](pictures/{name}.png) " for name in names]
-    rows = ["| | |", "|---|---|"]
-    for first in range(0, len(names), 2):
-        rows.append("".join(f"| `{name}` " for name in names[first : first + 2]) + "|")
-        rows.append("".join(cells[first : first + 2]) + "|")
-    page = PAGE.format(worlds="\n".join(rows), far=FAR_M)
-    path = DOCS / "worlds.md"
-    above = path.read_text(encoding="utf-8").partition(MARK)[0]
-    path.write_text(f"{above}{MARK}\n{page}", encoding="utf-8")
 
 
 def draw_looks() -> None:

@@ -8,8 +8,8 @@ A page asks for a table by two comments, between which it goes:
     <!-- parameters of scenegen.worlds.flight:Flight -->
     <!-- end -->
 
-`<!-- sensors -->` asks for the catalogue of sensors in the same way, and `<!-- stages -->` for the
-stages of noise.
+`<!-- sensors -->` asks for the catalogue of sensors in the same way, `<!-- stages -->` for the
+stages of noise, and `<!-- kinds -->` for what all kinds of worlds have.
 """
 
 import ast
@@ -25,12 +25,16 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
 from lidarsim.sensors.device import angles_deg
-from scenegen.worlds.flight import Flight
+from scenegen.worlds.kinds import KINDS, kind_names
 from scenegen.worlds.kinds.kind import WorldKind, bounds_by_name
-from scenegen.worlds.recipe import Acceptance
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
+UNIT = re.compile(r", (metres|degrees)( a second( squared| cubed)?)?(?=[.;:]| \(paper)")
+"""A unit at the end of a meaning: names end with their units, so tables leave it out."""
+WORLD = "; one value a world"
+SHARED = ("size_m", "ground", "ground_m")
+"""Parameters of every kind of worlds, which stand in a table of all kinds."""
 
 
 def meanings(kind: type) -> dict[str, str]:
@@ -47,68 +51,104 @@ def meanings(kind: type) -> dict[str, str]:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
                     value=ast.Constant(value=str(text))
                 ):
-                    found[name] = " ".join(text.split())
+                    meaning = " ".join(text.split()).replace("|", "/").replace(" (ours)", "")
+                    found[name] = UNIT.sub("", meaning)
     return found
 
 
 def table(kind: type[Any]) -> str:
-    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields
+    """The parameters of a dataclass: name, default and allowed values, and the meaning. Fields
     that are such dataclasses themselves are left out: they have tables of their own."""
     said = meanings(kind)
     if issubclass(kind, WorldKind):
         return kind_table(kind, said)
-    lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    lines = ["| parameter | default (allowed) | meaning |", "|---|---|---|"]
     types = get_type_hints(kind)
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            choices = get_args(types[item.name])
+            values = _value(item.default)
             if get_origin(types[item.name]) is Literal:
-                allowed = ", ".join(_value(choice) for choice in choices)
-            else:
-                allowed = _allowed(item.metadata.get(BOUNDS, Bounds()))
-            meaning = said[item.name].replace("|", "/")
-            lines.append(f"| `{item.name}` | {_value(item.default)} | {allowed} | {meaning} |")
+                choices = [_value(choice) for choice in get_args(types[item.name])]
+                values = " or ".join(sorted(choices, key=lambda choice: choice != values))
+            elif allowed := _allowed(item.metadata.get(BOUNDS, Bounds())):
+                values += f" ({allowed})"
+            lines.append(f"| `{item.name}` | {values} | {said[item.name]} |")
     return "\n".join(lines) + "\n"
 
 
 def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
-    """The parameters of a kind of worlds: name, the values of its three presets ("easy" and "hard"
-    where they differ from "medium"), and the meaning. The meaning ends with the values allowed,
-    where the name does not tell them, and with the source of the default, if there is one. Then
-    the parameters of flights and of acceptance in which the presets of this kind differ."""
-    lines = ["| parameter | easy | medium | hard | meaning |", "|---|---|---|---|---|"]
+    """The parameters that only this kind of worlds has: name (with a star where one value is drawn
+    for a world), the values of its three presets (a single value where they do not differ), and the
+    meaning. The meaning ends with the values
+    allowed, where the name does not tell them, and with the source of the default, if any."""
+    lines = ["| parameter | easy · medium · hard | meaning |", "|---|---|---|"]
     for item in dataclasses.fields(kind):
+        if item.name in SHARED:
+            continue
         usual = bounds_by_name(item.name, item.default)
         bounds = item.metadata.get(BOUNDS, usual)
-        meaning, _, source = said[item.name].replace("|", "/").partition(" Source: ")
+        meaning, _, source = said[item.name].partition(" Source: ")
+        if item.name.endswith("_share"):
+            meaning = re.sub("^Share of (.)", lambda found: found[1].upper(), meaning)
         if str(bounds) != str(usual):
             meaning += f" Allowed: {_allowed(bounds)}."
         if source:
             page = "results/calibration.md"
             meaning += f" Source: {source}".replace(f"calibrated, {page}", f"[calibrated]({page})")
-        graded = (kind.graded.get(level, {}).get(item.name) for level in ("easy", "hard"))
-        easy, hard = ("" if value is None else _value(value) for value in graded)
-        medium = _value(item.default)
-        lines.append(f"| `{item.name}` | {easy} | {medium} | {hard} | {meaning} |")
-    for name, fields in (("flight", Flight), ("accept", Acceptance)):
-        for parameter, value in getattr(kind, f"{name}_defaults").items():
-            meaning = meanings(fields)[parameter].partition(";")[0].rstrip(".") + "."
-            lines.append(f"| `[{name}] {parameter}` | | {_value(value)} | | {meaning} |")
+        levels = [
+            kind.graded.get(level, {}).get(item.name, item.default)
+            for level in ("easy", "medium", "hard")
+        ]
+        values = [_value(value) for value in levels]
+        star = "\\*" if WORLD in meaning else ""
+        cells = (
+            f"`{item.name}`{star}",
+            values[0] if len(set(values)) == 1 else " · ".join(values),
+            meaning.replace(f"{WORLD}, drawn so that", ";").replace(WORLD, ""),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def kinds() -> str:
+    """What all kinds of worlds have: size, ground, and the parameters of flights and of acceptance
+    in which their presets differ from the general defaults."""
+    heads = ("kind", "`size_m`", "`[flight] altitude_m`", "others")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for name in kind_names():
+        kind = KINDS.find(name)
+        flight = dict(kind.flight_defaults)
+        cells = [
+            f"[`{name}`](#{name})",
+            _value(field_default(kind, "size_m")),
+            _value(flight.pop("altitude_m")),
+        ]
+        tables = {"flight": flight, "accept": kind.accept_defaults}
+        others = [
+            f"`[{table}] {parameter}` {_value(value)}"
+            for table, values in tables.items()
+            for parameter, value in values.items()
+        ]
+        lines.append(f"| {' | '.join([*cells, ', '.join(others)])} |")
+    return "\n".join(lines) + "\n"
+
+
+def field_default(kind: type, name: str) -> Any:
+    """The default of a field of a dataclass."""
+    return next(item.default for item in dataclasses.fields(kind) if item.name == name)
 
 
 def _allowed(bounds: Bounds) -> str:
     """Bounds in as few words as a table needs."""
-    return str(bounds).replace("a finite number", "").replace("a ", "").strip()
+    return (
+        str(bounds).replace("a finite number", "").replace("a ", "").strip().removeprefix("from ")
+    )
 
 
 def sensors() -> str:
-    """The catalogue: a table of name with a link to its picture, rays of a scan, angles, range and
-    noise. Then a list of how a real unit may differ from these figures, with sensors of one kind
-    together."""
+    """The catalogue: name with a link to its picture, rays of a scan, angles, range and noise."""
     heads = ("sensor", "rays", "a scan", "elevations", "range", "`--noise datasheet`")
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    alike: dict[str, list[str]] = {}
     for name in CATALOGUE:
         sensor = SENSORS.find(name)
         height = angles_deg(sensor.directions_body)[0].round(2)
@@ -122,9 +162,6 @@ def sensors() -> str:
             f"`{sensor.noise}`",
         )
         lines.append(f"| {' | '.join(cells)} |")
-        alike.setdefault(sensor.error, []).append(f"`{name}`")
-    lines.append("\nHow a real unit may differ from these figures:\n")
-    lines += [f"- {', '.join(names)}: {error}." for error, names in alike.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -160,7 +197,7 @@ def filled(page: str) -> str:
         return f"{found[1]}{table(kind)}{found[4]}"
 
     page = ASKED.sub(fill, page)
-    for name, made in (("sensors", sensors), ("stages", stages)):
+    for name, made in (("sensors", sensors), ("stages", stages), ("kinds", kinds)):
         if (mark := f"<!-- {name} -->\n") in page:
             before, _, rest = page.partition(mark)
             page = f"{before}{mark}{made()}<!-- end -->{rest.partition('<!-- end -->')[2]}"

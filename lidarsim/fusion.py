@@ -16,21 +16,17 @@ class Fusion:
     """
 
     fusion: Literal["visibility", "log-odds"] = "visibility"
-    """How scans make one map: "visibility", by which any return in a voxel makes it observed, or
-    "log-odds"."""
+    """How scans make one map. "visibility": a voxel with any return is observed."""
     hit: float = number(0.7, above=0.5, below=1)
-    """With log-odds: the probability that a voxel is occupied where a scan has a return in it."""
+    """With log-odds: probability of a voxel in which a scan has a return."""
     miss: float = number(0.4, above=0, below=0.5)
-    """With log-odds: the probability that a voxel is occupied where a scan's rays cross it, and
-    none returns."""
+    """With log-odds: probability of a voxel that rays of a scan cross without a return."""
     least: float = number(0.1192, above=0, below=0.5)
-    """With log-odds: the least probability that is kept; below it, a voxel would take long to
-    change."""
+    """With log-odds: minimum probability."""
     most: float = number(0.971, above=0.5, below=1)
-    """With log-odds: the greatest probability that is kept; log-odds of -2 and 3.5 are the paper's
-    bounds."""
+    """With log-odds: maximum probability; log-odds of -2 and 3.5 are the bounds of the paper."""
     occupied: float = number(0.5, minimum=0.5, below=1)
-    """With log-odds: the probability from which on a voxel is observed, and not free."""
+    """With log-odds: minimum probability of an observed voxel."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -100,8 +100,7 @@ class GridSpec:
     truncation_m: float = number(2.0, above=0)
     """Distance at which distance fields on this grid saturate, metres."""
     hollow: bool = False
-    """Whether truth on this grid is of surfaces alone: voxels that lie wholly inside one solid are
-    not occupied."""
+    """Whether the truth holds only surfaces: voxels wholly inside one solid are not occupied."""
 
     def __post_init__(self) -> None:
         check(self)

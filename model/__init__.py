@@ -1,2 +1,1 @@
-"""What can be inferred: a partial map becomes a completion, a plan, and the tables that say what
-both are worth."""
+"""From a partial map to a completion and a plan, and the tables that measure both."""

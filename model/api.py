@@ -1,4 +1,4 @@
-"""Training and the bench in one call each: `scenegen.train` and `scenegen.bench`."""
+"""`scenegen.train` and `scenegen.bench`: training and the bench in one call each."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,36 +31,41 @@ def train(
     watcher: Watcher | None = None,
     **settings: Any,
 ) -> Completer:
-    """Train a completion network, or go on with a run, as `scenegen train` does.
+    """Train a completion network, or continue a run, as `scenegen train` does.
 
     Args:
-        training: What is trained on: a dataset, several in a list, or a mapping of datasets to
-            weights, in proportion to which their samples come. In a list, a stream, or any object
-            with the attributes of `scenegen.model.training.data.Samples`, can stand for a dataset.
-        validation: What validates, in the same forms, of which weights do not count; by default
-            the val splits of `training`, which must then be datasets.
-        out: The run's folder; runs/<variant> by default.
-        loss: The objective, or one of your own as "module:Object".
-        weights: A network whose weights are the first ones; random by default.
-        device: "cpu", "cuda", or "auto".
-        workers: Processes that read samples.
+        training: Training data: a dataset, a list of several, or a mapping of datasets to weights.
+            Samples are drawn in proportion to the weights. A list may also have a stream, or any
+            object with the attributes of `scenegen.model.training.data.Samples`.
+        validation: Validation data, in the same forms; weights are ignored. By default, the val
+            splits of `training`, which must then be datasets.
+        out: Folder of the run; by default runs/VARIANT.
+        loss: Name of the loss; your own as "module:Object".
+        weights: Name of a network to begin with; by default, weights are random.
+        device: "cpu", "cuda", or "auto", which is a GPU if there is one.
+        workers: Processes that read samples; 0 to read in this one.
         watcher: Callbacks of the run.
         settings: Fields of `NetworkConfig` (`variant`, `inputs`, `width`, …), of `LossConfig`
             (`occupancy`, `eikonal`, …) and of `TrainConfig` (`epochs`, `maps`, `batch`, `lr`, …).
 
     Returns:
-        The network that the run keeps.
+        The network that the run selected (`choose`).
 
     Raises:
-        ValueError: A setting is out of its bounds.
-        TypeError: There is no such setting.
-        DatasetError, TrainingError: Samples that do not go together, or a run that cannot go on.
+        ValueError: if a setting is out of its bounds.
+        TypeError: if there is no such setting.
+        DatasetError: if a dataset is missing or damaged, if datasets do not fit together, or if
+            `out` holds a run with other settings.
+        CheckpointError: if `weights` is no network of these settings.
+        TrainingError: if the device cannot be used, memory runs out, or the loss diverges.
+        StoppedError: if `watcher` stops the run.
     """
     config = TrainConfig.of({"objective": loss, **settings})
     folder = Path("runs", config.network.variant.rpartition(":")[2]) if out is None else Path(out)
     learned = _samples(training, "train")
     checked = _samples(training if validation is None else validation, "val")
-    if any(one in learned for one in checked):
+    # streams and a user's own samples have no splits, so both lists would have the same object
+    if any(samples in learned for samples in checked):
         raise DatasetError("what is trained on has no val split of its own; give validation")
     run(
         learned,
@@ -73,6 +78,7 @@ def train(
         watcher=watcher,
         command="scenegen.train",
     )
+    # the user named this code, so it may be imported again when the network is opened
     network = config.network
     code = ",".join(filter(is_own, (network.variant, *network.inputs, *network.targets)))
     return Completer.from_pretrained(f"{code}@{folder}" if code else folder)
@@ -81,30 +87,33 @@ def train(
 def bench(
     datasets: Any, methods: Any = USUAL, *, workers: int | None = None, **settings: Any
 ) -> dict[str, Any]:
-    """Measure how well methods complete the maps of datasets, and how well paths are planned on
-    what they predict, as `scenegen bench` does.
+    """Measure completions of datasets, and plans on them, as `scenegen bench` does.
 
     Args:
-        datasets: A dataset's folder or name, or several of different kinds in a list.
-        methods: One, or several in a list; by default the rows of `scenegen bench`. Names of its
-            `--method`, such as "extrude" or "my_methods:Grown"; or completers: networks, and
-            objects with a `name` and a method `complete(observed, free, *, grid)` that gives a
-            `scenegen.Prediction`. They travel to worker processes.
-        workers: Processes of this machine; all cores by default.
+        datasets: Folder or name of a dataset, or a list of several of different kinds.
+        methods: A method, or a list of several; by default the rows of `scenegen bench`. A method
+            is a name of `--method`, such as "extrude" or "my_methods:Grown", or a completer: a
+            network, or an object with a `name` and a method
+            `complete(observed, free, *, grid)` that returns a `scenegen.Prediction`. Completers are
+            pickled for worker processes.
+        workers: Processes on this machine; by default, one for each core.
         settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `plan`, ….
 
     Returns:
-        The report, as report.json holds it: ``report["reconstruction"][kind][method]["iou"]``,
+        The report, as in report.json: ``report["reconstruction"][kind][method]["iou"]``,
         ``report["planning"][kind][method]["success"]``, each with its `mean`, its interval and the
         number `n` of values.
 
     Raises:
-        DatasetError: There is no dataset, or its split is empty.
-        PredictionError: What stands for a method is none, or predicts what cannot be.
-        ScenegenError: There is no such method, or two have one name.
+        ValueError: if a setting is out of its bounds.
+        TypeError: if there is no such setting.
+        DatasetError: if a dataset is missing, or its split is empty.
+        PredictionError: if an object is not a completer, or a prediction is invalid.
+        ScenegenError: if there is no such method, or two have the same name.
     """
     config = BenchConfig(**settings)
     rows = rows_of(
+        # objects are checked now, not in a worker process
         [
             method if isinstance(method, str | Completer) else Completed(method)
             for method in _listed(methods)
@@ -120,15 +129,15 @@ def bench(
 
 
 def _samples(datasets: Any, split: str) -> list[Samples]:
-    """The samples of one split of all that `datasets` names."""
+    """Return the samples of one split, for each entry of `datasets`."""
     if isinstance(datasets, Mapping):
         return opened(datasets if split == "train" else [*datasets], split)
-    found, named = _listed(datasets), (str, Path, AnyDataset)
-    # all at once, so that two datasets that share samples are found
-    there = iter(opened([one for one in found if isinstance(one, named)], split))
-    return [next(there) if isinstance(one, named) else one for one in found]
+    entries, openable = _listed(datasets), (str, Path, AnyDataset)
+    # opened all at once, so that two datasets that share samples are noticed
+    samples = iter(opened([entry for entry in entries if isinstance(entry, openable)], split))
+    return [next(samples) if isinstance(entry, openable) else entry for entry in entries]
 
 
 def _listed(value: Any) -> Sequence[Any]:
-    """A list, of one where `value` is none."""
+    """Return `value`, in a list unless it is one."""
     return value if isinstance(value, list | tuple) else [value]

@@ -1,5 +1,5 @@
-"""Calibrated probabilities: a temperature and a measure of unfamiliar maps, kept in a network's
-file."""
+"""Calibrated probabilities: a temperature, and a measure of how unfamiliar a map is. Both are
+stored in a network's file."""
 
 import math
 from collections.abc import Sequence
@@ -18,49 +18,54 @@ UNUSUAL = 0.95
 """A map is unfamiliar if its share of denied returns exceeds that of 95 % of the calibration
 maps."""
 HOME, UNKNOWN = 0.5, 0.9
-"""The temperature applies in full up to the first value of `away`, and not at all from the second
-on; in between, its logarithm is linear."""
+"""Full temperature up to the first value of `away`, none from the second on; its logarithm is
+linear in between."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A network's calibration. Raises ValueError for numbers that cannot be one."""
+    """A network's calibration.
+
+    Raises:
+        ValueError: if a number is out of its bounds.
+    """
 
     worlds: int = number(minimum=1)
-    """Validation worlds that it was computed from."""
+    """Number of validation worlds that it was computed from."""
     class_weight: float = number(above=0)
-    """The weight of occupied voxels in the loss by which the network was trained."""
+    """Weight of occupied voxels in the loss of the training; free ones have 1."""
     temperature: float = number(above=0)
-    """What the logits of familiar maps are divided by, after the class weight was inverted."""
+    """Divisor of the logits of familiar maps, after the class weight was inverted."""
     datasets: tuple[str, ...] = ()
-    """Digests of the datasets whose validation worlds these are."""
+    """Digests of the datasets of these worlds."""
     denied: tuple[float, ...] = ()
-    """Quantiles of `denial` over validation maps, at levels that rise in equal steps up to 1; ()
-    where that was not measured."""
+    """Quantiles of `denial` over validation maps, at levels that rise in equal steps up to 1; () if
+    not measured."""
 
     def __post_init__(self) -> None:
         check(self)
 
     @classmethod
-    def of(cls, about: Json) -> "Calibration | None":
-        """Read the calibration from a network's header.
+    def of(cls, metadata: Json) -> "Calibration | None":
+        """Read the calibration from a network's metadata.
 
         Args:
-            about: What the header says about the network. Entries of earlier versions that this
-                one does not use, such as bounds of distance, are ignored.
+            metadata: Metadata in the network's file. Entries of earlier versions that this one does
+                not use, such as bounds of distance, are ignored.
 
         Returns:
-            The calibration; None where there is none, or it has no probabilities.
+            The calibration; None if there is none, or if it has no temperature.
 
         Raises:
             ValueError: if it is damaged.
         """
         try:
             entry = {
-                field.name: about[KEY][field.name]
+                field.name: metadata[KEY][field.name]
                 for field in fields(cls)
-                if field.name in about.get(KEY, {})
+                if field.name in metadata.get(KEY, {})
             }
+            # versions up to 0.2 calibrated networks without occupancy, too: their distances
             if entry.get("temperature") is None:
                 return None
             return cls(**entry)
@@ -70,17 +75,20 @@ class Calibration:
             ) from None
 
     def chance(self, probability: Field | None, away: Any) -> Field | None:
-        """Calibrated probabilities: with l the logit of p, the probability of (l - log w) / T.
+        """Calibrate probabilities: sigmoid((logit(p) - log w) / T), with the class weight w and the
+        temperature T, or a part of it if the map is unfamiliar.
 
         Args:
-            probability: Predicted probabilities (..., X, Y, Z), or None.
-            away: How unfamiliar each map is, (...), or None: see `familiar`.
+            probability: Predicted probabilities (..., X, Y, Z); None for a network that predicts
+                distances only.
+            away: How unfamiliar each map is, (...), as `away_of` gives it; None counts as familiar.
 
         Returns:
-            Probabilities (..., X, Y, Z); None where none are predicted.
+            Probabilities (..., X, Y, Z) float32; None if none are predicted.
         """
         if probability is None:
             return None
+        # a power of T is a factor of log T
         temperature = self.temperature ** familiar(0 if away is None else away)
         logit = corrected_logit(probability, self.class_weight)
         return 1 / (1 + np.exp(-logit / np.asarray(temperature, np.float32)[..., None, None, None]))
@@ -88,49 +96,90 @@ class Calibration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredProbability:
-    """Calibrated probabilities of one map that a predictions file holds."""
+    """Calibrated probabilities of one map, read from a predictions file. Stands for the
+    `Calibration` of the network, which is not at hand there."""
 
     probability: Field
+    """(X, Y, Z)."""
 
     def chance(self, probability: Field | None, away: Any) -> Field | None:
-        """See `Calibration.chance`."""
+        """Return the stored probabilities.
+
+        Args:
+            probability: Not used; see `Calibration.chance`.
+            away: Not used.
+
+        Returns:
+            Probabilities (X, Y, Z).
+        """
         return self.probability
 
 
 def away_of(denied: Any, levels: Sequence[float]) -> Floats:
-    """How unfamiliar maps are: the share of the `levels` that their share of denied returns
-    exceeds."""
+    """Return how unfamiliar maps are.
+
+    Args:
+        denied: `denial` of each map, (...).
+        levels: `Calibration.denied`: rising quantiles of validation maps.
+
+    Returns:
+        (...): share of the validation maps that had fewer denied returns, 0 to 1.
+    """
     return np.searchsorted(levels, denied) / len(levels)
 
 
 def familiar(away: Any) -> Floats:
-    """The power of the temperature for maps, by how unfamiliar they are: 1 for familiar ones.
+    """Power of the temperature for maps, (...): 1 for familiar ones, 0 for unfamiliar ones.
 
-    The temperature is valid only for familiar maps. Elsewhere, only the loss says what a logit
-    means.
+    The temperature is valid only for familiar maps. In real places, probabilities that were
+    calibrated in generated worlds are too sure (docs/uncertainty.md).
     """
     return np.clip((UNKNOWN - np.asarray(away)) / (UNKNOWN - HOME), 0, 1)
 
 
 def corrected(probability: Field, class_weight: float) -> Field:
-    """Probabilities whose class weight w is inverted: q = p / (p + w (1 - p)).
+    """Invert the class weight w of the loss: q = p / (p + w (1 - p)).
 
-    A network trained with w on occupied voxels, where a free one has 1, minimises its loss by
-    saying p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
+    For a voxel that is occupied with probability q, the loss is lowest at p = w q / (w q + 1 - q),
+    if occupied voxels weigh w and free ones 1.
+
+    Args:
+        probability: Predicted probabilities p, any shape.
+        class_weight: w.
+
+    Returns:
+        Probabilities q, float32, of the same shape.
     """
     p = probability.astype(np.float32)
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), np.float32)
 
 
 def denial(probability: Field, observed: Mask, class_weight: float) -> Any:
-    """The share of a map's `observed` voxels that are said to be free sooner than occupied, or of
-    each map's, (...), from (..., X, Y, Z); 0 where nothing was observed."""
+    """Share of denied returns: of the voxels with a return, those that are predicted free.
+
+    Args:
+        probability: Predicted probabilities (..., X, Y, Z).
+        observed: Voxels that hold a return, (..., X, Y, Z).
+        class_weight: Weight of occupied voxels in the loss of the training.
+
+    Returns:
+        (...): a share for each map, 0 to 1; 0 if nothing was observed.
+    """
+    # a corrected probability of at most 0.5 means free rather than occupied
     missed, axes = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
     return missed.sum(axis=axes) / np.maximum(observed.sum(axis=axes), 1)
 
 
 def corrected_logit(probability: Field, class_weight: float) -> Field:
-    """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest
-    numbers that float32 tells from them."""
+    """Logits of `corrected` probabilities: logit(p) - log w.
+
+    Args:
+        probability: Predicted probabilities p, any shape.
+        class_weight: Weight w of occupied voxels in the loss of the training.
+
+    Returns:
+        Finite logits, float32, of the same shape.
+    """
+    # 1 - 1e-7 is about the largest float32 below 1; 0 and 1 themselves have no finite logit
     p = np.clip(probability.astype(np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
     return np.log(p / (1 - p)) - np.float32(math.log(class_weight))

@@ -1,5 +1,5 @@
-"""Networks on disk: safetensors, with what is needed to build the network again in the file's
-header.
+"""Networks on disk: safetensors files, whose header describes the network so that it can be
+rebuilt.
 
 Nothing here is a pickle, so a file from a stranger can be opened.
 """
@@ -27,11 +27,11 @@ from scenegen.model.network import build
 FORMAT = "scenegen-network"
 VERSION = 1
 STEM_STRIDE = 2
-"""The only stem there is; headers of earlier versions name it."""
+"""Stride of the stem of every network. Headers of versions up to 0.2.0 name it."""
 DTYPES = (torch.float32, torch.int64)
-"""What weights and counts are stored as."""
+"""Types of stored tensors: weights, and the step counts of batch norms."""
 PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04")
-"""How pickled files begin, plain or zipped."""
+"""First bytes of pickled files, plain or zipped."""
 
 
 class CheckpointError(ScenegenError):
@@ -39,22 +39,42 @@ class CheckpointError(ScenegenError):
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Json) -> None:
-    """Write `tensors` and a JSON `header`, whole or not at all. Raises DatasetError where the disk
-    refuses."""
-    whole = torch.contiguous_format
-    plain = {  # copies, for two names may share one tensor
-        name: tensor.detach().cpu().clone(memory_format=whole) for name, tensor in tensors.items()
+    """Write tensors and a header as one safetensors file, atomically.
+
+    Args:
+        path: The file, which is replaced.
+        tensors: Tensors by name, on any device and in any memory layout.
+        header: Entries of the header that JSON can hold.
+
+    Raises:
+        DatasetError: if the disk refuses.
+    """
+    layout = torch.contiguous_format  # safetensors stores no other
+    plain = {  # copies: two names may share one tensor, which safetensors refuses
+        name: tensor.detach().cpu().clone(memory_format=layout) for name, tensor in tensors.items()
     }
     write_atomic(path, save(plain, {"header": json.dumps(header)}))
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
-    """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else, and
-    for tensors that hold NaN or infinity."""
+    """Read a file that `save_tensors` wrote.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Tensors by name, on the CPU; and the header.
+
+    Raises:
+        CheckpointError: if the file is missing, too large, damaged or a pickle, or if a tensor has
+            another type than `DTYPES`, or holds NaN or infinity.
+    """
     with reraise_as(CheckpointError, of=DatasetError):
         content = read_bounded(path, MAX_WEIGHTS_BYTES)
+    # safetensors: eight bytes with the length of the JSON header, the header, then the tensors
     length = int.from_bytes(content[:8], "little")
     try:
+        # safetensors itself accepts 100 MB of JSON, which takes far more memory once parsed
         if length > MAX_HEADER_BYTES:
             raise ValueError(f"a header of {length} bytes, expected {MAX_HEADER_BYTES} at most")
         text = json.loads(content[8 : 8 + length])["__metadata__"]["header"] if length else "{}"
@@ -67,7 +87,8 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
             f"{path}: {fault} ({printable(error)[:200]}); expected a .safetensors file"
         ) from None
     for name, tensor in tensors.items():
-        if tensor.dtype not in DTYPES or tensor.ndim > 16:  # torch does not look into more than 64
+        # torch's functions fail on more than 64 axes; convolutions have 5
+        if tensor.dtype not in DTYPES or tensor.ndim > 16:
             raise CheckpointError(
                 f"{path}: {printable(name)[:100]} holds {tensor.dtype} along {tensor.ndim} axes, "
                 "expected float32 along a few"
@@ -79,24 +100,43 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
     return tensors, header
 
 
-def save_network(path: Path, network: Any, grid: GridSpec, about: Json) -> None:
-    """Write a network for maps on `grid`, with whatever else `about` says of it."""
+def save_network(path: Path, network: Any, grid: GridSpec, metadata: Json) -> None:
+    """Write a network as one safetensors file.
+
+    Args:
+        path: The file, which is replaced.
+        network: The network; its `config` and its weights are stored.
+        grid: Grid of the maps that it completes.
+        metadata: Further entries of the header: settings of the training, figures, versions,
+            calibration.
+
+    Raises:
+        DatasetError: if the disk refuses.
+    """
     header = {
         "format": FORMAT,
         "version": VERSION,
         "network": asdict(network.config),
         "grid": asdict(grid),
-        "about": dict(about),
+        "about": dict(metadata),
     }
     save_tensors(path, network.state_dict(), header)
 
 
-def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, Json]:
-    """A network ready to complete maps, their grid, and what is said of it.
+def load_network(path: Path, trusted: Collection[str] = ()) -> tuple[Any, GridSpec, Json]:
+    """Read a network that `save_network` wrote.
 
-    Of the code of users' own that the header names, only what is in `own`, module:Object each, is
-    imported. Raises CheckpointError for a file that is damaged, a pickle, of another network, or
-    of own code that is not in `own`.
+    Args:
+        path: The file.
+        trusted: Own code that may be imported, each as ``module:Object``.
+
+    Returns:
+        The network on the CPU, in evaluation mode; the grid of its maps; and the metadata.
+
+    Raises:
+        CheckpointError: if the file is damaged, a pickle, or of another version, if its weights do
+            not fit its header, or if the header names own code that is not in `trusted`.
+        ScenegenError: if trusted code cannot be imported.
     """
     tensors, header = load_tensors(path)
     if (version := [header.get(name) for name in ("format", "version")]) != [FORMAT, VERSION]:
@@ -106,34 +146,45 @@ def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, 
         )
     try:
         config, grid = network_from(header)
-        about = dict(header.get("about", {}))
-        check_own(path, own, config.variant, *config.inputs, *config.targets)
-        # on "meta", a network takes no memory: the file is compared before anything is made of it
+        metadata = dict(header.get("about", {}))
+        # before `build`, which imports the code
+        check_own(path, trusted, config.variant, *config.inputs, *config.targets)
+        # on "meta", a network takes no memory, so a header cannot allocate more than the file
+        # holds; a user's own class may compute with its weights when it is made
         with torch.device("cpu" if is_own(config.variant) else "meta"):
             network = build(config)
         expected = network.state_dict()
-        if odd := sorted(tensors.keys() ^ expected.keys()):  # torch would make up some missing ones
+        # torch forgives some missing entries, such as step counts of batch norms
+        if odd := sorted(tensors.keys() ^ expected.keys()):
             raise ValueError(f"{', '.join(odd[:3])}: there or missing")
         for name, values in expected.items():
             if tensors[name].dtype != values.dtype:
                 raise ValueError(f"{name} is {tensors[name].dtype}, expected {values.dtype}")
-        network.load_state_dict(tensors, assign=True)
+        network.load_state_dict(tensors, assign=True)  # tensors on "meta" cannot be copied to
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = printable(error)[:200]
         raise CheckpointError(
             f"{path}: header and weights do not fit ({reason}); train it again"
         ) from None
-    return network.eval(), grid, about
+    return network.eval(), grid, metadata
 
 
-def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
-    """Raise CheckpointError where code among `names` is a user's own, and not in `own`.
+def check_own(path: str | Path, trusted: Collection[str], *names: str) -> None:
+    """Check that a file names no own code besides what the user trusts.
 
     A stranger's file may name any module, and importing one runs it.
+
+    Args:
+        path: The file, for the message.
+        trusted: Own code that the user named, each as ``module:Object``.
+        names: Names in the file; those of scenegen itself always pass.
+
+    Raises:
+        CheckpointError: if own code in `names` is not in `trusted`.
     """
     needed = {name for name in names if is_own(name)}
-    if not needed <= set(own):
-        spelled = printable(",".join(sorted(needed.union(own))))[:200]
+    if not needed <= set(trusted):
+        spelled = printable(",".join(sorted(needed.union(trusted))))[:200]
         raise CheckpointError(
             f"{path}: is made of {spelled}, which is imported only if you name it; if you trust "
             f"that code, give the network as {spelled}@{path}"
@@ -141,8 +192,15 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
 
 
 def current_settings(network: Json) -> Json:
-    """The settings of a network as this version writes them: without the stem stride that versions
-    up to 0.2.0 wrote, and with targets, which they did not have.
+    """Update the settings of a network to this version.
+
+    Versions up to 0.2.0 wrote a stem stride, and had no targets.
+
+    Args:
+        network: Settings as any version wrote them; not changed.
+
+    Returns:
+        Settings with the fields of `NetworkConfig`.
 
     Raises:
         ValueError: if the network has a stem that this version does not build.
@@ -154,8 +212,18 @@ def current_settings(network: Json) -> Json:
 
 
 def network_from(header: Json) -> tuple[NetworkConfig, GridSpec]:
-    """The network and the grid that a header names; nothing is imported for it. Raises KeyError,
-    TypeError or ValueError where it names none, or one that is too large."""
+    """Read the network's settings and its grid from a header. Nothing is imported.
+
+    Args:
+        header: Header of a network's file.
+
+    Returns:
+        Settings and grid.
+
+    Raises:
+        KeyError, TypeError, ValueError: if the header is damaged, or the network does not take
+            maps on the grid, or takes too much memory for them.
+    """
     config = NetworkConfig(**current_settings(header["network"]))
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)

@@ -278,9 +278,9 @@ class TrainConfig:
     warmup_share: float = number(0.02, minimum=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     schedule: Literal["decay", "constant"] = "decay"
-    """How the learning rate falls. "decay": it stays level until validation stalls or the budget
-    nears its end, then falls along a line to 0, where training ends (ours). "constant": it never
-    falls and has no warm-up; training ends where validation stalls."""
+    """How the learning rate falls. "decay": when validation stalls or the budget nears its end, it
+    falls linearly to 0, where training ends (ours). "constant": never, without a warm-up; training
+    ends where validation stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, minimum=0)
@@ -298,8 +298,8 @@ class TrainConfig:
     """Whether maps are turned about the sensor at random, and mirrored where its rays allow it
     (ours)."""
     points_share: float = number(0.0, minimum=0, maximum=1)
-    """Share of maps that are shown as points alone, so that rays without a return free nothing;
-    maps of several scans stay as they are (ours)."""
+    """Share of maps that are shown as points only: rays without a return free nothing. Not for maps
+    of several scans (ours)."""
     seed: int = number(0, minimum=0, maximum=MAX_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -362,9 +362,9 @@ class PlanConfig(Checked):
     """
 
     planner: Literal["paper", "careful"] = "paper"
-    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too,
-    and the start's own voxel is, since a hovering robot is there; ways are weighed by their risk;
-    where the refined path is riskier than that of A*, A*'s stands (ours)."""
+    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too;
+    the start's voxel is free; paths are weighed by their risk; a refined path that is riskier than
+    that of A* is discarded (ours)."""
     step_voxels: int = number(3, minimum=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False

@@ -1,7 +1,8 @@
-"""The learning objective: the paper's section "Learning Objective", equation by equation, one term
-of ours, and whatever a user's own loss says.
+"""Losses of the training: the paper's section "Learning Objective", equation by equation, one term
+of ours, and losses of users' own.
 
-All losses take (B, X, Y, Z) tensors and are computed in float32, whatever the network computed in.
+Losses take (B, X, Y, Z) tensors. They are computed in float32 also if the network computes in
+bfloat16, whose differences between neighbours are too coarse for slopes.
 """
 
 import math
@@ -19,37 +20,45 @@ from scenegen.model.network import Batch, Output
 from scenegen.model.targets import BUILT_IN, Target
 
 ROOT_EPSILON = 1e-8
-"""Under the root of the gradient's length, so that a flat field has a finite derivative."""
+"""Added under the root of the gradient's length, so that a flat field has a finite derivative."""
 
 THRESHOLD = Thresholds().probability
-"""Where `lovasz_loss` looks for an edge."""
+"""Probability from which on a voxel counts as occupied in `Coupled.lovasz_loss`: the paper's, at
+which IoU is measured."""
 
 Loss = Callable[[Output, Batch], dict[str, Tensor]]
-"""From what a network says of a batch, and the batch itself (its inputs, and the truth by target),
-to scalars: what is minimised, as ``loss``, and its terms by name. A batch with maps
-of real places has ``known``, too, the voxels whose occupancy counts, and ``certain``, those whose
-distance does."""
+"""A loss: (output of a network, batch) → scalars by name. ``loss`` is minimised; the others are its
+terms. The batch has the inputs, and the truth by target. If maps of real places are in it, it also
+has ``known``, the voxels whose occupancy counts, and ``certain``, those whose distance counts."""
 
 Divisor = Callable[[Tensor], Tensor]
-"""From how many voxels count, a scalar, to what their sum is divided by for their mean."""
+"""Number of voxels that count, a scalar → divisor of their sum, which gives their mean."""
 
 
-def at_least_one(count: Tensor) -> Tensor:
-    """The divisor of a process that is alone."""
+def local_divisor(count: Tensor) -> Tensor:
+    """Divide by the voxels of this process only; a sum over none gives 0, not NaN."""
     return count.clamp(min=1)
 
 
 def loss_of(
     config: LossConfig,
     grid: GridSpec,
-    divisor: Divisor = at_least_one,
+    divisor: Divisor = local_divisor,
     targets: Mapping[str, Target] = BUILT_IN,
 ) -> Loss:
-    """The loss that `config` names for a network with these `targets`: the paper's, with whatever
-    other targets add, or one's own as docs/own-network.md says.
+    """Make the loss that a configuration names.
 
-    `divisor` is for batches of which several processes have a part each; see
-    `Coupled.eikonal_loss`. Raises ScenegenError for a name that leads to none.
+    Args:
+        config: Name and weights of the loss. A user's own loss does not use the weights.
+        grid: Grid of the maps.
+        divisor: `Group.divisor` if several processes share each batch; see `Coupled.eikonal_loss`.
+        targets: What the network predicts, by `target_name`.
+
+    Returns:
+        The loss.
+
+    Raises:
+        ScenegenError: if the name leads to no loss.
     """
     if not is_own(config.objective):
         return Coupled(config, grid, divisor, targets)
@@ -60,8 +69,14 @@ def loss_of(
 
 
 def summed(terms: Tensor | Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """What a user's own code says of a batch, a scalar or several by name, with what is minimised
-    as ``loss``: their sum, unless there is one."""
+    """Complete the terms of a user's own loss.
+
+    Args:
+        terms: A scalar, or scalars by name.
+
+    Returns:
+        The terms by name, with their sum as ``loss`` unless they have a ``loss`` already.
+    """
     if not isinstance(terms, Mapping):
         return {"loss": terms}
     total: Any = sum(terms.values())
@@ -70,15 +85,25 @@ def summed(terms: Tensor | Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 @dataclass(frozen=True)
 class Coupled:
-    """Eq. 7 and 11: what the targets of the output add, as ``loss``, and their terms."""
+    """The paper's loss, eq. 7 and 11: the sum over the targets of a network."""
 
     config: LossConfig
+    """Weights."""
     grid: GridSpec
-    divisor: Divisor = at_least_one
+    divisor: Divisor = local_divisor
     targets: Mapping[str, Target] = field(default_factory=lambda: BUILT_IN)
+    """What the network predicts, by `target_name`."""
 
     def __call__(self, output: Output, batch: Batch) -> dict[str, Tensor]:
-        """Scalars; see `Loss`."""
+        """Compute the loss of a batch.
+
+        Args:
+            output: Output of the network.
+            batch: Inputs and truth; see `Loss`.
+
+        Returns:
+            Scalars by name: ``loss``, and the terms of each target without their weights.
+        """
         total, parts = torch.zeros((), device=batch["occupancy"].device), dict[str, Tensor]()
         for name, values in output.by_target.items():
             loss = self.targets[name].loss(values, batch, self)
@@ -89,12 +114,17 @@ class Coupled:
     def occupancy_loss(
         self, logits: Tensor, occupancy: Tensor, known: Tensor | None = None
     ) -> Tensor:
-        """Eq. 8: binary cross-entropy over all voxels, or the `known` ones, occupied ones weighted;
-        `occupancy` is bool.
+        """Eq. 8: weighted binary cross-entropy, -[w o log p + (1 - o) log(1 - p)].
 
-        -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever
-        rounded to 0 or 1.
+        Args:
+            logits: (B, X, Y, Z).
+            occupancy: The truth o, bool, of the same shape.
+            known: Voxels that count; None for all.
+
+        Returns:
+            The mean over these voxels.
         """
+        # log p = -softplus(-logit), so that no probability is rounded to 0 or 1
         logits = logits.float()
         loss = F.softplus(torch.where(occupancy, -logits, logits))
         weighted = torch.where(occupancy, self.config.occupied_weight * loss, loss)
@@ -102,16 +132,19 @@ class Coupled:
 
     @staticmethod
     def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
-        """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its
-        voxels or the `known` ones, in the mean.
+        """Lovász hinge, a convex surrogate of 1 - IoU (Berman, Triki and Blaschko 2018).
 
-        Logits are counted from that of the probability above which the paper's protocol holds a
-        voxel occupied. A voxel whose logit is less than 1 on the right side has an error; each
-        counts by what it takes from the IoU, 1 at first, once all voxels of larger errors are
-        wrong.
+        Args:
+            logits: (B, X, Y, Z).
+            occupancy: The truth, bool, of the same shape.
+            known: Voxels that count; None for all.
+
+        Returns:
+            The mean over the maps.
         """
+        # margins are measured from `THRESHOLD`, since this is where IoU is measured
         margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
-        if known is not None:  # what is not known is free, and has no error
+        if known is not None:  # an infinite margin on the free side is no error
             margins = torch.where(known, margins, -torch.inf)
             occupancy = occupancy & known
         margins = margins.flatten(1)
@@ -122,8 +155,16 @@ class Coupled:
     def regression_loss(
         self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
     ) -> Tensor:
-        """Eq. 9: Smooth-L1 over all voxels, or those whose distance is `certain`, those near a
-        surface weighted; metres."""
+        """Eq. 9: Smooth-L1 of the distances, weighted near surfaces.
+
+        Args:
+            predicted: Distances, metres, (B, X, Y, Z).
+            tudf: The truth, of the same shape.
+            certain: Voxels that count; None for all.
+
+        Returns:
+            The mean over these voxels.
+        """
         config = self.config
         loss = F.smooth_l1_loss(predicted.float(), tudf, beta=config.beta_m, reduction="none")
         weighted = torch.where(tudf <= config.near_m, config.near_weight * loss, loss)
@@ -132,39 +173,58 @@ class Coupled:
     def eikonal_loss(
         self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
     ) -> Tensor:
-        """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance
-        lies strictly between 0 and the truncation; by forward differences, so the last voxel of
-        every line has none. 0 over no voxel.
+        """Eq. 10: how far the slope of the predicted field is from 1.
 
-        How many such voxels there are differs from map to map: `Group.divisor` makes the mean of
-        several processes' losses that of all their maps.
+        It is computed where the true distance lies strictly between 0 and the truncation, because a
+        distance field has slope 1 only there. The number of such voxels differs between maps. So,
+        if processes share a batch, `Group.divisor` makes the mean of their losses that of all maps.
+
+        Args:
+            predicted: Distances, metres, (B, X, Y, Z).
+            tudf: The truth, of the same shape.
+            certain: Voxels that count; None for all.
+
+        Returns:
+            The mean over these voxels; 0 over none.
         """
         d = predicted.float()
-        here = d[:, :-1, :-1, :-1]
-        squares = (d[:, 1:, :-1, :-1] - here).square()
-        squares = squares + (d[:, :-1, 1:, :-1] - here).square()
-        squares = squares + (d[:, :-1, :-1, 1:] - here).square()
+        # Forward differences: central ones cannot see a checkerboard (docs/log). The last voxel of
+        # every line has none.
+        base = d[:, :-1, :-1, :-1]
+        squares = (d[:, 1:, :-1, :-1] - base).square()
+        squares = squares + (d[:, :-1, 1:, :-1] - base).square()
+        squares = squares + (d[:, :-1, :-1, 1:] - base).square()
         slope = (squares / self.grid.voxel_m**2 + ROOT_EPSILON).sqrt()
         mask = (tudf > 0) & (tudf < self.grid.truncation_m)
         mask = mask if certain is None else mask & certain
         return self.mean((slope - 1).abs(), mask[:, :-1, :-1, :-1])
 
     def mean(self, loss: Tensor, over: Tensor | None) -> Tensor:
-        """The mean over all voxels, or `over` those that count; 0 over none."""
+        """Average over voxels.
+
+        Args:
+            loss: A value per voxel, any shape.
+            over: Voxels that count, bool, of the same shape; None for all.
+
+        Returns:
+            The mean, a scalar; 0 over no voxel.
+        """
         if over is None:
             return loss.mean()
+        # a boolean index would give a tensor of unknown size, which makes a GPU wait for the CPU
         return torch.where(over, loss, 0).sum() / self.divisor(over.sum())
 
 
 def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
-    """The hinge of one map, from (voxels,) each; 0 where there are no errors.
+    """Return the hinge of one map, given as (voxels,) each; 0 if there are no errors.
 
-    With a set of voxels wrong, 1 - IoU is its size over that of the union with the occupied ones.
+    If the n voxels with the largest errors are wrong, 1 - IoU is n over the number of voxels that
+    are occupied or wrong. Each error counts by the increase of this value from n - 1 to n.
     """
     errors = 1 - torch.where(occupied, margins, -margins)
-    held = errors > 0
-    errors, order = errors[held].sort(descending=True)
-    free = ~occupied[held][order]
+    positive = errors > 0  # others weigh nothing; after some training, these are most voxels
+    errors, order = errors[positive].sort(descending=True)
+    free = ~occupied[positive][order]
     wrong = torch.arange(1, len(errors) + 1, device=errors.device)
-    lost = wrong / (occupied.sum() + free.cumsum(0))
+    lost = wrong / (occupied.sum() + free.cumsum(0))  # 1 - IoU for n = 1, 2, …
     return errors @ lost.diff(prepend=lost.new_zeros(1))

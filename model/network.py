@@ -1,4 +1,4 @@
-"""The completion network, whole: the paper's dual-decoder U-Net with CrossFusion, and its variants.
+"""The completion network: the paper's dual-decoder U-Net with CrossFusion, and its variants.
 
 For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
 
@@ -8,8 +8,8 @@ For a map of 80 x 80 x 40 voxels and width 8 (channels x cells):
     D 1x80x80x40 ─ FinalUp h_t ─ f_t1 ─ C1 ─── f_t2 ─ C2 ───── f_t3 ─ C3 ───── F_s
     O 1x80x80x40 ─ FinalUp h_o ─ f_o1 ─ C1 ─── f_o2 ─ C2 ───── f_o3 ─ C3 ───── F_s
 
-Equations are numbered as in docs/network.md, which holds them against this file. A network of
-one's own is a class like `Network`: docs/own-network.md.
+Equations are numbered as in docs/network.md, which compares them with this file. A user's own
+network is a class like `Network`: docs/own-network.md.
 """
 
 import itertools
@@ -37,36 +37,52 @@ from scenegen.model.config import (
 from scenegen.model.targets import Target, targets_of
 
 Batch = dict[str, Tensor]
-"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the truth of its targets,
-too, and always the true ``occupancy`` and ``tudf``; and where maps of real places are among them,
-what is ``known``, and which distances are ``certain``: nothing unknown is nearer than what is known
-to be occupied."""
+"""A named batch, (B, *grid.shape) each: a network's inputs. In training, it also has the truth of
+the targets, always with ``occupancy`` and ``tudf``. If maps of real places are in it, ``known``
+marks voxels of known occupancy, and ``certain`` those whose true distance is certain: no unknown
+voxel is nearer than the nearest voxel that is known to be occupied."""
 
 
 class Output(NamedTuple):
-    """What a network says about a batch of maps; None for what it does not predict."""
+    """Output of a network for a batch of maps."""
 
     logits: Tensor | None
-    """(B, X, Y, Z): the probability of occupancy before its sigmoid."""
+    """(B, X, Y, Z): logits of occupancy; None if the network does not predict it."""
     tudf: Tensor | None
-    """(B, X, Y, Z): metres, not negative, not truncated."""
+    """(B, X, Y, Z): distances, metres, not negative, not truncated; None if not predicted."""
     others: Mapping[str, Tensor] = {}
-    """(B, X, Y, Z) or (B, channels, X, Y, Z): its other targets, by `target_name`."""
+    """(B, X, Y, Z) or (B, channels, X, Y, Z): further targets, by `target_name`."""
 
     @classmethod
     def of(cls, heads: Mapping[str, Tensor], targets: Mapping[str, Target]) -> "Output":
-        """From what the heads give, by target."""
+        """Apply the targets' activations to the values of the heads.
+
+        Args:
+            heads: Values by `target_name`, (B, X, Y, Z) or (B, channels, X, Y, Z).
+            targets: Targets by the same names.
+
+        Returns:
+            The output.
+        """
         outputs = {name: targets[name].output(values) for name, values in heads.items()}
         return cls(outputs.pop("occupancy", None), outputs.pop("tudf", None), outputs)
 
     @property
     def by_target(self) -> dict[str, Tensor]:
-        """What it says, by target."""
+        """The predicted tensors by `target_name`, occupancy first."""
         outputs = {"occupancy": self.logits, "tudf": self.tudf, **self.others}
         return {name: values for name, values in outputs.items() if values is not None}
 
     def predictions(self, targets: Mapping[str, Target], grid: GridSpec) -> dict[str, Tensor]:
-        """What a `Prediction` keeps of it, by the name of its array."""
+        """Convert to the arrays of a `Prediction`, such as probabilities instead of logits.
+
+        Args:
+            targets: Targets by `target_name`.
+            grid: Grid of the maps, whose truncation applies to distances.
+
+        Returns:
+            Tensors by the name of the prediction's array, (B, X, Y, Z) or (B, channels, X, Y, Z).
+        """
         return {
             targets[name].part or name: targets[name].prediction(values.float(), grid)
             for name, values in self.by_target.items()
@@ -74,30 +90,50 @@ class Output(NamedTuple):
 
 
 def build(config: NetworkConfig) -> nn.Module:
-    """The network that `config` names, with random weights; it keeps `config`, and has `tasks`,
-    names of all that it predicts, and these `targets` themselves by `target_name`.
+    """Make a network with random weights.
 
-    Raises ScenegenError for a name that leads to none.
+    Args:
+        config: Its settings.
+
+    Returns:
+        The network. It has `config`; `tasks`, the names of its targets; and `targets`, the targets
+        by `target_name`.
+
+    Raises:
+        ScenegenError: if `config` names no network.
     """
     network = named(NETWORKS, config.variant)(config)
     if not isinstance(network, nn.Module):
         raise ScenegenError(
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
-    network.register_forward_pre_hook(_inputs_alone)
+    network.register_forward_pre_hook(_without_truth)
+    # attributes are set here, so that a user's own class need not do it
     network.tasks = tuple(dict.fromkeys((*getattr(network, "tasks", TASKS), *config.targets)))
     network.config, network.targets = config, targets_of(network.tasks)
     return network
 
 
-def _inputs_alone(network: Any, given: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What a network is given, without the truth that is in a batch."""
-    return given and ({name: given[0][name] for name in network.config.inputs}, *given[1:])
+def _without_truth(network: Any, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Remove the truth from the batch, so that no network can see it in a forward pass."""
+    if not arguments:
+        return arguments
+    batch, *further = arguments
+    return ({name: batch[name] for name in network.config.inputs}, *further)
 
 
 def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
-    """`network` itself on `device`, its filters in memory with channels last, which is faster."""
+    """Move a network to a device, with the filters of convolutions in channels-last memory.
+
+    Args:
+        network: The network, changed in place.
+        device: The device.
+
+    Returns:
+        `network`.
+    """
     network.to(device)
+    # convolutions are faster in this layout; 4 axes are 2-D filters, 5 are 3-D ones
     for parameter in network.parameters():
         if layout := {4: torch.channels_last, 5: torch.channels_last_3d}.get(parameter.ndim):
             parameter.data = parameter.data.contiguous(memory_format=layout)
@@ -105,15 +141,17 @@ def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
 
 
 def prefers_bfloat16() -> bool:
-    """Whether this machine's processor is faster in bfloat16 than in float32: with AMX, and one of
-    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log)."""
+    """Whether this processor is faster in bfloat16 than in float32: with AMX, or AMD with AVX-512.
+
+    On an Intel Xeon with AVX-512 but without AMX, bfloat16 takes 1.4 times as long (docs/log).
+    """
     has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
     return bool(has.get("amx_bf16" if "Intel" in processor() else "avx512_bf16"))
 
 
 class Network(nn.Module):
-    """Maps a named batch, (B, X, Y, Z) for each of its inputs, to an `Output` (the paper, section
-    "Coupled TUDF-Occupancy Learning"). Other names in the batch are not looked at."""
+    """The paper's network and its variants: a named batch, (B, X, Y, Z) for each input, to an
+    `Output` (the paper, section "Coupled TUDF-Occupancy Learning")."""
 
     def __init__(self, config: NetworkConfig):
         super().__init__()
@@ -122,7 +160,8 @@ class Network(nn.Module):
         self.tasks = (*variant.tasks, *config.targets)
         self.targets = targets_of(self.tasks)
         branches = variant.decoders
-        if branches != SHARED:  # what is not of the variant has a decoder, and is not coupled
+        # with separate decoders, further targets have their own, too; these are never coupled
+        if branches != SHARED:
             branches = (*branches, *map(target_name, config.targets))
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
@@ -133,6 +172,7 @@ class Network(nn.Module):
             nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
             for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
         )
+        # global context is computed at the coarsest level only, where it is cheap: 500 cells
         self.attention = SelfAttention(widths[-1], config.heads)
         self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in branches})
         self.fusion = nn.ModuleList(map(CrossFusion, widths)) if variant.coupled else None
@@ -140,7 +180,7 @@ class Network(nn.Module):
         if variant.columns:
             levels = [(c, config.height // 2 ** (level + 1)) for level, c in enumerate(widths)]
             self.columns = Columns(inputs, config.height, levels, variant.columns)
-            features = 2 * finest
+            features = 2 * finest  # `features` concatenates both nets at the finest level
         self.head = nn.ModuleDict(
             {
                 name: FinalUp(features, finest, config.channels_of(name))
@@ -149,7 +189,7 @@ class Network(nn.Module):
         )
 
     def forward(self, batch: Batch) -> Output:
-        """What the heads make of the features (eq. 6)."""
+        """Apply the heads to the features (eq. 6)."""
         features = self.features(batch)
         heads = {
             name: head(features.get(name, features.get("shared")))
@@ -158,14 +198,21 @@ class Network(nn.Module):
         return Output.of(heads, self.targets)
 
     def features(self, batch: Batch) -> dict[str, Tensor]:
-        """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
+        """Compute the input of the heads.
+
+        Args:
+            batch: The inputs, (B, X, Y, Z) each.
+
+        Returns:
+            (B, channels, X/2, Y/2, Z/2) by decoder; under ``shared`` if there is only one.
+        """
         voxels = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
         x, skips = self.preprocess(voxels), []
         for encode in self.encoder:
             x = encode(x)
             skips.append(x)
         columns = None if self.columns is None else self.columns(voxels, skips)
-        features = dict.fromkeys(self.decoder, self.attention(x))  # F_s
+        features = dict.fromkeys(self.decoder, self.attention(x))  # every decoder begins with F_s
         for level in reversed(range(LEVELS)):
             features = {
                 branch: decoder.stages[level](features[branch], skips[level])  # eq. 3 and 4
@@ -176,6 +223,7 @@ class Network(nn.Module):
                 features |= {"tudf": t, "occupancy": o}
             if columns is not None:
                 flat = columns[level]
+                # concatenated at the end, where the heads mix both; else added, which keeps widths
                 features = {
                     branch: torch.cat((x, flat), dim=1) if level == 0 else x + flat
                     for branch, x in features.items()
@@ -184,7 +232,10 @@ class Network(nn.Module):
 
 
 class SelfAttention(nn.Module):
-    """(B, C, x, y, z) → the same: every cell looks at every other, and adds what it found."""
+    """Residual self-attention over all cells: (B, C, x, y, z) → the same shape.
+
+    It has no position encoding, since padded convolutions before it know the border.
+    """
 
     def __init__(self, width: int, heads: int):
         super().__init__()
@@ -194,7 +245,7 @@ class SelfAttention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """As the class says."""
+        """See the class."""
         cells = x.flatten(2).transpose(1, 2)  # (B, cells, C)
         qkv = self.to_qkv(self.norm(cells)).unflatten(-1, (3, self.heads, -1))
         q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, heads, cells, C / heads) each
@@ -203,7 +254,7 @@ class SelfAttention(nn.Module):
 
 
 class Decoder(nn.Module):
-    """One branch: f^(1), f^(2), f^(3), finest first."""
+    """The stages of one decoder, f^(1), f^(2), f^(3), finest first."""
 
     def __init__(self, widths: Sequence[int]):
         super().__init__()
@@ -211,8 +262,12 @@ class Decoder(nn.Module):
 
 
 class Decode(nn.Module):
-    """f^(l): (B, above, ...) and the skip (B, width, 2 ...) → (B, width, 2 ...); the coarsest has
-    nothing to double."""
+    """A decoder stage f^(l), eq. 3 and 4: doubles the resolution and joins a skip connection.
+
+    Features (B, above, x, y, z) and skip (B, width, 2x, 2y, 2z) → (B, width, 2x, 2y, 2z). `above`
+    is None for the coarsest stage, which keeps the resolution: both its inputs have `width`
+    channels.
+    """
 
     def __init__(self, width: int, above: int | None):
         super().__init__()
@@ -220,13 +275,20 @@ class Decode(nn.Module):
         self.refine = nn.Sequential(*_convolution(2 * width, width), *_convolution(width, width))
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
-        """As the class says."""
+        """See the class.
+
+        Args:
+            x: Features of the coarser stage.
+            skip: Output of the encoder at this level.
+
+        Returns:
+            Features at this level.
+        """
         return self.refine(torch.cat((self.up(x), skip), dim=1))
 
 
 class CrossFusion(nn.Module):
-    """Each branch adds what it learns from both; occupancy sees distances already refined, as
-    eq. 5 is written."""
+    """Exchange between the two decoders (eq. 5): each adds a function of both to its features."""
 
     def __init__(self, width: int):
         super().__init__()
@@ -238,31 +300,40 @@ class CrossFusion(nn.Module):
         )
 
     def forward(self, t: Tensor, o: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, width, ...) each → the same."""
+        """Fuse the features of one level.
+
+        Args:
+            t: Features of distance, (B, width, x, y, z).
+            o: Features of occupancy, of the same shape.
+
+        Returns:
+            Both, refined.
+        """
         t = t + self.to_tudf(torch.cat((t, o), dim=1))
+        # with the refined t, as eq. 5 is written
         o = o + self.to_occupancy(torch.cat((o, t), dim=1))
         return t, o
 
 
 class FinalUp(nn.Module):
-    """(B, below, X/2, Y/2, Z/2) → (B, X, Y, Z), or (B, channels, X, Y, Z) for several: eight values
-    a cell, one for each voxel in it.
+    """A head: (B, below, X/2, Y/2, Z/2) → (B, X, Y, Z), or (B, channels, X, Y, Z) for several.
 
-    The slope below zero is not flat: with a ReLU here, channels that die leave the bias alone as an
-    upper bound of the logit, and no probability ever passes the threshold.
+    Each cell gives eight values per channel, one for each voxel in it.
     """
 
     def __init__(self, below: int, width: int, channels: int = 1):
         super().__init__()
+        # No plain ReLU: its channels can die. The bias alone then bounds the logit from above, and
+        # no probability passes the threshold.
         self.refine = nn.Sequential(
             *_convolution(below, width)[:-1], nn.LeakyReLU(0.1, inplace=True)
         )
         self.split = Conv3d(width, 8 * channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """As the class says."""
+        """See the class."""
         x = self.refine(x)
-        # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
+        # bfloat16 resolves distances near 2 m to 8 mm, too coarse for slopes between voxels
         with torch.autocast(x.device.type, enabled=False):
             cells = self.split(x.float()).unflatten(1, (-1, 2, 2, 2))
         # (B, c, i, j, k, x, y, z) → (B, c, x, i, y, j, z, k) → (B, c, X, Y, Z)
@@ -271,16 +342,18 @@ class FinalUp(nn.Module):
 
 
 class Columns(nn.Module):
-    """Columns of a map as channels: a flat U-Net that sees every column whole, beside the 3-D one.
+    """A flat U-Net beside the 3-D one: 2-D convolutions, with the layers of the map as channels.
 
-    (B, inputs, X, Y, Z) and the 3-D skips, (B, c_l, X_l, Y_l, Z_l), finest first → features of the
-    same shapes. Small 3-D convolutions learn solids that lie anywhere, and see little of a column
-    at a time; flat convolutions with z as channels learn what stands upright from a few voxels of
-    it (Roldão, de Charette, Verroust-Blondet 2020: LMSCNet). At each level either hands the other
-    what it has: c channels of h cells in height are c·h flat channels, and back.
+    A 3-D convolution sees a small part of a column. A flat one sees the whole column, so it can
+    infer an upright solid from a few of its voxels (Roldão, de Charette, Verroust-Blondet 2020:
+    LMSCNet). The nets exchange features at each level: c channels in h layers become c·h flat
+    channels, and back.
 
-    `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by
-    level.
+    Args:
+        inputs: Input channels.
+        height: Z, voxels.
+        levels: Channels c_l and layers Z_l of the 3-D net, finest level first.
+        widths: Channels of the flat net, finest level first.
     """
 
     def __init__(
@@ -292,14 +365,15 @@ class Columns(nn.Module):
     ):
         super().__init__()
         self._levels = tuple(levels)
-        met = [(c * z, width) for (c, z), width in zip(self._levels, widths, strict=True)]
+        # flat channels of the 3-D net, and channels of this one, where the two meet
+        meetings = [(c * z, width) for (c, z), width in zip(self._levels, widths, strict=True)]
         convolution = partial(_convolution, flat=True)
         self.stem = convolution(inputs * height, widths[0], stride=2)
         self.down = nn.ModuleList(
             convolution(below, width, stride=2 if level else 1)
             for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
         )
-        self.take = nn.ModuleList(Conv2d(*edge, 1) for edge in met)
+        self.take = nn.ModuleList(Conv2d(*edge, 1) for edge in meetings)
         self.mix = nn.ModuleList(convolution(width, width) for width in widths)
         self.up = nn.ModuleList(
             nn.ConvTranspose2d(above, width, 2, stride=2)
@@ -309,17 +383,25 @@ class Columns(nn.Module):
             nn.Sequential(convolution(2 * width, width), convolution(width, width))
             for width in widths[:-1]
         )
-        self.give = nn.ModuleList(Conv2d(width, cells, 1) for cells, width in met)
+        self.give = nn.ModuleList(Conv2d(width, cells, 1) for cells, width in meetings)
 
     def forward(self, x: Tensor, skips: Sequence[Tensor]) -> list[Tensor]:
-        """As the class says."""
-        flat, seen = self.stem(_flat(x)), []
+        """Compute features for the 3-D net's decoder.
+
+        Args:
+            x: Input voxels, (B, inputs, X, Y, Z).
+            skips: Outputs of the 3-D encoder, (B, c_l, X_l, Y_l, Z_l), finest first.
+
+        Returns:
+            Features of the shapes of `skips`, finest first.
+        """
+        flat, flat_skips = self.stem(_flat(x)), []
         for level, (down, mix) in enumerate(zip(self.down, self.mix, strict=True)):
             flat = mix(down(flat) + self.take[level](_flat(skips[level])))
-            seen.append(flat)
+            flat_skips.append(flat)
         result = [flat]
         for level in reversed(range(len(self.up))):
-            flat = self.refine[level](torch.cat((self.up[level](flat), seen[level]), dim=1))
+            flat = self.refine[level](torch.cat((self.up[level](flat), flat_skips[level]), dim=1))
             result.insert(0, flat)
         return [
             give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
@@ -333,35 +415,38 @@ def _flat(x: Tensor) -> Tensor:
 
 
 class _Direct:
-    """A convolution that completes a map alone as fast as in a batch.
+    """A convolution that always uses oneDNN for inference on a CPU.
 
-    On a CPU, torch leaves a batch of one small map to a path that takes four times as long, and
-    rounds otherwise, than that of larger batches: oneDNN, which is asked for all of them here
+    Without it, torch computes a batch of one small map by another path, which takes four times as
+    long as oneDNN and rounds differently. A map alone would then have other bits than in a batch
     (docs/log).
     """
 
     def forward(self: Any, x: Tensor) -> Tensor:
-        """As torch's own."""
+        """See `torch.nn.Conv3d`."""
+        # autocast and the compiler choose their own kernels
         plain = x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
-        plain = plain and not torch.compiler.is_compiling()  # which chooses for itself
+        plain = plain and not torch.compiler.is_compiling()
+        # training leaves the choice to torch: its batches are larger
         if plain and torch.is_inference_mode_enabled() and torch.backends.mkldnn.is_available():
-            given = self.padding, self.stride, self.dilation, self.groups
-            return torch.mkldnn_convolution(x, self.weight, self.bias, *given)
+            geometry = self.padding, self.stride, self.dilation, self.groups
+            return torch.mkldnn_convolution(x, self.weight, self.bias, *geometry)
         result: Tensor = super().forward(x)  # type: ignore[misc]
         return result
 
 
 class Conv2d(_Direct, nn.Conv2d):
-    """torch's, with numbers for its padding."""
+    """See `_Direct`. Padding must be numbers, not a name such as "same"."""
 
 
 class Conv3d(_Direct, nn.Conv3d):
-    """torch's, with numbers for its padding."""
+    """See `_Direct`. Padding must be numbers, not a name such as "same"."""
 
 
 def _convolution(below: int, width: int, stride: int = 1, flat: bool = False) -> nn.Sequential:
-    """A convolution three wide, over x and y alone if `flat`, normalised, with its activation."""
+    """Return a 3×3×3 convolution (3×3 if `flat`) with batch norm and ReLU."""
     conv, norm = (Conv2d, nn.BatchNorm2d) if flat else (Conv3d, nn.BatchNorm3d)
+    # the batch norm has a bias, so the convolution needs none
     return nn.Sequential(
         conv(below, width, 3, stride=stride, padding=1, bias=False),
         norm(width),

@@ -1,5 +1,8 @@
-"""Tables of figures by name: as Markdown, and in HTML pages that have no script of others and fetch
-nothing. Texts and names are shown as text alone."""
+"""Tables of figures as Markdown and in HTML pages.
+
+The pages fetch nothing and run no script but ours. Texts and names are escaped, since datasets and
+networks of strangers have names, too.
+"""
 
 import html
 from collections.abc import Collection, Iterable, Sequence
@@ -29,19 +32,20 @@ img { width: 100%; height: auto; }
 
 
 class Table(NamedTuple):
-    """A table as it is shown."""
+    """A table of figures."""
 
     title: str
     heads: Sequence[str]
+    """Heads of the columns; the column of names has none."""
     rows: Sequence[tuple[str, Sequence[str]]]
-    """Names and cells."""
+    """Name and cells of each row. A cell is a figure and, after a space, its spread."""
     paper: Sequence[tuple[str, Sequence[str]]] = ()
-    """Rows of the paper's figures."""
+    """Further rows with the paper's figures."""
     best: Collection[tuple[str, int]] = ()
-    """The best cells: rows' names and columns."""
+    """Best cells, each by the name of its row and the number of its column."""
 
     def markdown(self) -> str:
-        """The table below its title, the paper's figures in italics."""
+        """Format as Markdown: a heading and a table, with the paper's figures in italics."""
         paper = [
             (f"*{name}*", [text if text == "–" else f"*{text}*" for text in cells])
             for name, cells in self.paper
@@ -49,7 +53,7 @@ class Table(NamedTuple):
         return f"### {self.title}\n\n{markdown(self.heads, [*self.rows, *paper])}"
 
     def html(self) -> str:
-        """The same; the spread of a figure stands below it, and the best ones are bold."""
+        """Format as HTML: as `markdown`, with spreads below figures, and the best ones bold."""
         lines = ""
         for number, (name, texts) in enumerate((*self.rows, *self.paper)):
             is_paper = number >= len(self.rows)
@@ -68,13 +72,33 @@ class Table(NamedTuple):
 
 
 def markdown(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> str:
-    """A table of rows by name; the column of names has no head."""
+    """Format a Markdown table.
+
+    Args:
+        heads: Heads of the columns; the column of names has none.
+        rows: Name and cells of each row.
+
+    Returns:
+        Lines joined by newlines, without one at the end.
+    """
     lines = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     return "\n".join([*lines, *(f"| {name} | {' | '.join(cells)} |" for name, cells in rows)])
 
 
 def page(title: str, body: str, *, style: str = "", script: str = "") -> str:
-    """An HTML page, with more of `style`, and a `script` of ours."""
+    """Format an HTML page.
+
+    Args:
+        title: Title, already escaped.
+        body: HTML of the body.
+        style: CSS that is added to `STYLE`.
+        script: JavaScript of ours, if any.
+
+    Returns:
+        The page.
+    """
+    # the policy holds even if a text escaped its quotes: no requests, and no script where we have
+    # none ourselves
     allowed = "script-src 'unsafe-inline'; " if script else ""
     script = f"<script>{script}</script>" if script else ""
     return f"""<!doctype html>
@@ -88,5 +112,5 @@ def page(title: str, body: str, *, style: str = "", script: str = "") -> str:
 
 
 def as_text(value: object) -> str:
-    """A value in HTML."""
+    """Escape a value for HTML."""
     return html.escape(str(value))

@@ -1,12 +1,11 @@
-"""What exists: from a seed to a world, its truth, a flight through it, samples, and a dataset on
-disk.
+"""From a seed to a world, its truth, a flight through it, samples, and a dataset on disk.
 
     scenegen.generate("pillar", n=100, out="data/pillar")
     samples = scenegen.load("data/pillar", split="train")
     samples = scenegen.stream("pillar")    # the same samples, without a disk
     scenegen.show(samples[0])
 
-All that `__all__` lists is imported when it is first asked for.
+The names in `__all__` are imported on first use.
 """
 
 from __future__ import annotations
@@ -121,10 +120,20 @@ def __dir__() -> list[str]:
 
 
 class _OnceImported:
-    """Tells Gymnasium of our environment when it is imported: here, that would take too long."""
+    """Registers our environment when Gymnasium is imported. To import it here would take long."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        """Gymnasium's own, whose module is told of the environment as soon as it has run."""
+        """Find Gymnasium, whose import then also registers the environment. See
+        `importlib.abc.MetaPathFinder`.
+
+        Args:
+            name: Name of the module to import.
+            path: Unused.
+            target: Unused.
+
+        Returns:
+            Gymnasium's spec; None for other modules, which are imported as usual.
+        """
         if name != "gymnasium":
             return None
         from importlib.util import find_spec

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from scenegen.base.errors import ScenegenError
 from tests.command_line import ROOT, refused
 
 FILE = Path(__file__).with_name("wording.txt")
@@ -47,7 +48,7 @@ def _fits(expected, line):
     return expected is not None and re.fullmatch(".*".join(parts), line) is not None
 
 
-def refuses(case, act, *given, error=ValueError, **more):
+def refuses(case, act, *given, error=(ValueError, ScenegenError), **more):
     """`act` of what is given raises an `error` that keeps the law; its line."""
     with pytest.raises(error) as caught:
         act(*given, **more)

@@ -1,7 +1,6 @@
 """What `scenegen` offers goes together: from a dataset that is made to one that is checked, shown
 and measured."""
 
-import json
 import shutil
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 
 import scenegen
 from scenegen.base.errors import DatasetError, ScenegenError
-from tests.command_line import ROOT, python, rows
+from tests.command_line import ROOT, python
 from tests.refusals import refuses
 
 
@@ -27,18 +26,10 @@ def test_a_dataset_is_made_loaded_and_checked(dataset):
     assert scenegen.verify(dataset.folder, quick=True).ok
 
 
-NONSENSE = """
-{"n": "5"}
-{"val": 1000000000000}
-{"labels": "colour"}
-{"workers": 0}
-"""
-
-
-@pytest.mark.parametrize("asked", [asked for (asked,) in rows(NONSENSE)])
-def test_what_cannot_be_generated_leaves_nothing(asked, tmp_path):
-    given = {"n": 2, "out": tmp_path / "d"} | json.loads(asked)
-    refuses(asked, scenegen.generate, "pillar", **given, error=ScenegenError)
+@pytest.mark.parametrize(("name", "value"), [("n", "5"), ("val", 10**12), ("workers", 0)])
+def test_what_cannot_be_generated_leaves_nothing(name, value, tmp_path):
+    options = {"n": 2, "out": tmp_path / "d", name: value}
+    refuses(name, scenegen.generate, "pillar", **options, error=ScenegenError)
     assert not (tmp_path / "d").exists()
 
 
@@ -53,32 +44,19 @@ def test_samples_are_shown(dataset, tmp_path):
     assert framed.startswith("<div")
     assert not [raw for raw in ("<script", "<mine>") if raw in framed]
     assert "data:image/webp" in framed
+
+
+def test_what_cannot_be_shown_is_refused(dataset):
+    sample = dataset.split("train")[0]
     bare = scenegen.Sample(**{name: getattr(sample, name) for name in sample.names})
-    for case, *given in (
+    for case, *arguments in (
         ("distances", sample, sample.tudf),
         ("NaN", sample, scenegen.Prediction(tudf=sample.tudf * np.nan)),
-        ("a point", sample, {}, path[0]),
+        ("a point", sample, {}, sample.position),
         ("no grid", bare),
-        ("its own", sample, {"free": sample.free}),
         ("none", []),
     ):
-        refuses(case, scenegen.show, *given, error=DatasetError)
-
-
-def test_methods_are_measured(dataset):
-    class Mine:
-        name = "mine"
-
-        def complete(self, observed, free, *, grid):
-            said = np.float32(observed)
-            observed[:] = free[:] = True  # which the other rows must not see
-            return scenegen.Prediction(occupancy_probability=said)
-
-    report = scenegen.bench(dataset.folder, [Mine(), "returns"], workers=1, trials=4)
-    found = report["reconstruction"]["pillar"]
-    assert 0 < found["mine"]["iou"]["mean"] == found["returns"]["iou"]["mean"] < 1
-    refuses("twice", scenegen.bench, dataset.folder, [Mine(), Mine()], error=ScenegenError)
-    refuses("none", scenegen.bench, [], error=ScenegenError)
+        refuses(case, scenegen.show, *arguments, error=DatasetError)
 
 
 @pytest.mark.checkout

@@ -1,18 +1,14 @@
 """Every command that reads a dataset reads several, and some of their samples, as one."""
 
-import json
-
 import pytest
 import torch
 
-from scenegen.base.errors import DatasetError
-from scenegen.dataset.collection import open_data
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.command_line import code_of, done, rows
 from tests.conftest import contents, dataset_in
-from tests.refusals import refuses, refuses_command
+from tests.refusals import refuses_command
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 COMMANDS = """
@@ -56,39 +52,7 @@ def test_every_command_takes_it(here, capsys, words, data):
     done(capsys, words.replace("DATA", data))
 
 
-@pytest.mark.parametrize(("data", "samples"), [("both", 20), ("few.json", 10)])
-def test_all_samples_are_converted(here, capsys, data, samples):
-    done(capsys, f"convert {data} --to npz -o out")
-    assert len([name for name in contents(here / "out") if name.endswith(".npz")]) == samples
-
-
-def test_a_selection_is_counted(here, capsys):
-    splits = json.loads(done(capsys, "inspect few.json --json"))["splits"]
-    assert [split["samples"] for split in splits.values()] == [4, 2, 4]
-
-
-@pytest.mark.parametrize("data", ["both", "few.json"])
-def test_worlds_are_numbered_through(here, capsys, data):
-    """Each dataset has two worlds to train with."""
-    done(capsys, f"world {data} 3 --split train -o w.xml")
-    done(capsys, "world both/b 1 --split train -o own.xml")
-    assert (here / "w.xml").read_bytes() == (here / "own.xml").read_bytes()
-
-
 def test_measures_are_kept_beside_one_dataset(here, capsys):
     before = contents(here / "both")
     refuses_command(capsys, "inspect few.json --keep --json")
     assert contents(here / "both") == before
-
-
-def test_a_path_that_no_file_can_have_is_refused(here):
-    selection = json.loads((here / "few.json").read_text())
-    selection["datasets"][0]["path"] = "both/a\0"
-    (here / "odd.json").write_text(json.dumps(selection))
-    refuses("odd.json", open_data, "odd.json", error=DatasetError)
-
-
-def test_a_selection_of_a_selection_is_read(here, capsys):
-    done(capsys, "take few.json --split test --n 3 -o fewer.json")
-    digests = [sample.sha256() for sample in open_data("fewer.json").split("test")]
-    assert digests == [sample.sha256() for sample in open_data("few.json").split("test")][:3]

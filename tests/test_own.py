@@ -68,9 +68,6 @@ generate --quiet --kind wrong:Other
 generate --quiet --kind wrong:Bare
 generate --quiet --kind wrong:Odd
 generate --quiet --kind wrong:{"K" * 95}
-bench made --quiet --method wrong:Nameless
-bench made --quiet --method wrong:Short
-bench made --quiet --method wrong:Needy
 wrong:plain
 trian
 generate --quiet --kind wrong:Failing --workers 1
@@ -116,13 +113,9 @@ class Graded(Bare):
 class Leafy(Bare):
     def add_to(self, spec, *, rng):
         spec.add_geoms([2], [[1, 0, 0]], [[0, 0, 1]], classes=["vegetaton"])
-class Nameless:
-    def complete(self, observed, free, *, grid): pass
 class Short:
     name = "short"
     def complete(self, observed): pass
-class Needy(Short):
-    def __init__(self, size): pass
 def plain(): pass
 @click.command()
 def failing(): gone()

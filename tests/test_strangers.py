@@ -1,15 +1,12 @@
 """Nothing that is not ours is replaced or removed, by any command, whatever its name is."""
 
-import multiprocessing
 import os
-import signal
 
 import numpy as np
 import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from scenegen.base.files import whole
 from tests.command_line import ROOT, SMALL, done, refused, rows
 from tests.refusals import check_wording, refuses_command
 from tests.scenegen.base import everywhere
@@ -67,22 +64,6 @@ def here(once, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     torch.set_num_threads(1)
     return tmp_path
-
-
-def begin_and_die(path):
-    with whole(path):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.parametrize(("words", "name"), [rows(FILES)[n] for n in (0, 5, 9)])
-def test_what_a_killed_command_left_is_taken_away(words, name, here, capsys):
-    (here / name).parent.mkdir(exist_ok=True)
-    killed = multiprocessing.get_context("fork").Process(target=begin_and_die, args=(here / name,))
-    killed.start()
-    killed.join()
-    assert list(here.rglob("*.tmp"))
-    done(capsys, words)
-    assert not list(here.rglob("*.tmp"))
 
 
 def test_every_command_is_here():

@@ -90,8 +90,8 @@ class Far(Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Grazing(Loss):
-    """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all
-    at 90°, and with a probability that grows evenly between."""
+    """Returns at flat angles are lost: none up to `from_deg` off the normal, all at 90°; the
+    probability is linear in between."""
 
     from_deg: float = number(75.0, minimum=0, below=90)
     """Angle between ray and normal from which returns are lost, degrees."""
@@ -115,10 +115,9 @@ class Grazing(Loss):
 
 @dataclass(frozen=True, kw_only=True)
 class Faint(Fault):
-    """Returns too weak to be found: light falls with the square of the range, and grows with albedo
-    × cosine.
+    """Weak returns are lost.
 
-    A surface of 10 % reflectivity, met head on, is found up to `range_m`; one of albedo ρ at an
+    A surface of 10 % reflectivity, met head on, returns up to `range_m`; one of albedo ρ at an
     angle of cosine c up to ``range_m · sqrt(ρ c / 0.1)``, times ``1 + softness · n`` with n
     standard normal.
     """
@@ -146,8 +145,8 @@ class Faint(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Spurious(Fault):
-    """Returns of dust, rain or glare: with probability `share` a ray returns from anywhere before
-    what it would have met, evenly along its way."""
+    """Dust, rain or glare: with probability `share`, a ray returns from a uniformly random point
+    before the surface."""
 
     share: float = number(0.001, minimum=0, maximum=1)
     """The probability, of every ray."""
@@ -171,12 +170,11 @@ class Spurious(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Motion(Fault):
-    """The sensor moves on at an even pace, and turns about the body's z axis through itself, from
-    the scan's begin; every ray is cast from where the sensor is at the ray's time, to one of
-    `poses` steps.
+    """The sensor moves at constant speed during the scan, and turns about the body's z axis. Each
+    ray is cast from where the sensor is at its time, to one of `poses` steps.
 
-    A sensor that does not know of its motion takes all rays to be cast from the pose at the begin:
-    walls bend. One that `corrected` its scan places every return where it was.
+    Points are computed as if all rays were cast from the first pose, so walls bend; if `corrected`,
+    every return is where it was.
     """
 
     order = 0

@@ -78,11 +78,10 @@ class Range(Spread):
 
 @dataclass(frozen=True, kw_only=True)
 class Depth(Spread):
-    """Noise of a stereo camera: that of disparity is even, so that of depth z grows as
-    ``quadratic_per_m · z²``.
+    """Noise of a stereo camera: normal, of standard deviation ``quadratic_per_m · z²`` in depth z.
 
-    Depth is measured along the mean of the sensor's directions, a camera's optical axis; the point
-    moves along its ray. It means nothing for a sensor that looks all around.
+    Depth is measured along the mean of the sensor's directions; the point moves along its ray. Not
+    for a sensor that looks all around.
     """
 
     quadratic_per_m: float = number(0.01, minimum=0, maximum=1)
@@ -159,12 +158,10 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 @dataclass(frozen=True, kw_only=True)
 class Divergence(Fault):
-    """Every beam becomes `rays` rays of equal light, spread evenly over its cone, turned by chance
-    about its axis.
+    """Every beam becomes `rays` rays, spread evenly over its cone, turned at random about its axis.
 
-    Ranges that lie within `resolution_m` of the nearest of them are one echo, at their mean: over
-    an edge that is a mixed pixel, which lies on neither surface. Further ones are echoes of their
-    own.
+    Ranges within `resolution_m` of the nearest are one echo, at their mean: at an edge, that is a
+    mixed pixel, which lies on neither surface. Returns that are farther apart form separate echoes.
     """
 
     order = 1

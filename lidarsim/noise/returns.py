@@ -356,8 +356,8 @@ class Fault(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity(Fault):
-    """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as
-    sensors' own is, with normal noise of `sigma`, from 0 to 1."""
+    """Intensity from 0 to 1: albedo × cosine of the angle of incidence, without fall-off by range,
+    as sensors report it, plus normal noise of `sigma`."""
 
     sigma: float = number(0.0, minimum=0, maximum=1)
     """Standard deviation of the noise."""

@@ -108,8 +108,9 @@ class Completer:
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
-            run, file = load_onnx(path, threads=threads, own=own)
-            grid, about, inputs, draws = file.grid, file.about, file.config.inputs, False
+            run, file = load_onnx(path, threads=threads, trusted=own)
+            grid, about, inputs = file.grid, file.metadata, file.config.inputs
+            draws = False
             targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)
@@ -476,7 +477,7 @@ def _fetch(name: str) -> Path:
     except ImportError:
         raise CheckpointError(f"{name}: {needs('huggingface_hub', 'publish')}") from None
     try:
-        with client_output(shown=False):
+        with client_output(show_progress=False):
             return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
         raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

@@ -107,4 +107,4 @@ def flight_page(name: str, course: Course, number: int, robot: Any, flown: Flown
                 guesses=(Guess(name=name, occupied=occupied, tudf=None, route=route),),
             )
         )
-    return page(looks, title=f"{name} in {course.world}").encode()
+    return page(looks, title=f"{name} in {course.world}", film=True).encode()

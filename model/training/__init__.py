@@ -1,2 +1,1 @@
-"""Networks learn: samples in a seeded order, the loop, its validation, and the folder that a run
-leaves."""
+"""Training of networks: samples in a seeded order, the loop, validation, and the run's folder."""

@@ -1,4 +1,4 @@
-"""What a run leaves for people: its card and its curve."""
+"""Pages of a run for people: the card of its network, and its curves."""
 
 import csv
 import io
@@ -22,17 +22,28 @@ PANELS = {
     "IoU": ("val_iou", "val_best_iou"),
     "Near-MAE, m": ("val_near_mae",),
 }
+"""Columns that each panel shows, by its title."""
 LATER = "val_best_iou"
-"""A column that runs of earlier versions lack."""
+"""A column that runs of earlier versions lack; their rows are read all the same."""
 
 
 def read_rows(path: Path) -> list[Scalars]:
-    """The figures of a run's epochs, from its ``metrics.csv``. Raises DatasetError for a file that
-    holds none."""
+    """Read the figures of a run's epochs.
+
+    Args:
+        path: A run's ``metrics.csv``.
+
+    Returns:
+        Figures by name, for each epoch.
+
+    Raises:
+        DatasetError: if the file is missing or damaged, or has no epochs.
+    """
     try:
         text = read_bounded(path, MAX_EPOCHS * MAX_LINE_BYTES).decode()
         rows = [
-            {name: float(value) for name, value in row.items() if value}  # some begin later
+            {name: float(value) for name, value in row.items() if value}
+            # an empty cell is a column that began in a later epoch
             for row in csv.DictReader(io.StringIO(text))
         ]
     except (ValueError, TypeError, AttributeError, csv.Error):
@@ -48,8 +59,18 @@ def read_rows(path: Path) -> list[Scalars]:
 
 
 def draw(rows: list[Scalars], *, title: str = "") -> Any:
-    """A figure of matplotlib, with a panel each for losses, IoU and Near-MAE. Raises ImportError
-    where that is not installed."""
+    """Draw losses, IoU and Near-MAE by epoch, in a panel each.
+
+    Args:
+        rows: Figures of each epoch.
+        title: Title above the panels.
+
+    Returns:
+        A `matplotlib.figure.Figure`.
+
+    Raises:
+        ImportError: if matplotlib is not installed.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 3), layout="constrained")
@@ -70,33 +91,53 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
 
 
 def draw_run(folder: Path) -> Any:
-    """Draw the curves of a training run's folder; see `draw`. Raises DatasetError."""
+    """Draw the curves of a run.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        See `draw`.
+
+    Raises:
+        DatasetError: if the folder has no figures.
+        ImportError: if matplotlib is not installed.
+    """
     from scenegen.view.panels import plain
 
     return draw(read_rows(folder / "metrics.csv"), title=plain(folder.resolve().name))
 
 
 FULL_EPOCHS = 100
-"""Epochs of the full protocol at most; it ends when validation no longer improves."""
-GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}
-"""What a network predicts, by task."""
+"""Maximum of epochs in the full protocol, which ends earlier if validation stops improving."""
+OUTPUTS = {"occupancy": "the probability of occupancy", "tudf": "the truncated distance, metres"}
+"""Outputs of a network in words, by task."""
 
 
-def card(name: str, about: Json) -> str:
-    """The card of a network, as Markdown, from what its file's header says `about` it."""
-    settings, figures, command = about["settings"], about["figures"], about["command"]
+def card(name: str, metadata: Json) -> str:
+    """Write the card of a network.
+
+    Args:
+        name: Name of the network.
+        metadata: Metadata of the network's file, with `settings`, `figures`, and its origin.
+
+    Returns:
+        Markdown.
+    """
+    settings, figures, command = metadata["settings"], metadata["figures"], metadata["command"]
     network, samples = settings["network"], settings["samples"]
-    variant = VARIANTS.get(network["variant"])  # nobody says what a user's own predicts
-    outputs = [output for task, output in GIVES.items() if variant and task in variant.tasks]
+    variant = VARIANTS.get(network["variant"])  # None for a user's own, whose tasks are not stored
+    outputs = [output for task, output in OUTPUTS.items() if variant and task in variant.tasks]
     outputs += [target_name(name) for name in network.get("targets", ())]
     gives = f" and gives {' and '.join(outputs)}" if outputs else ""
+    # only runs with weights have shares; then one for each dataset
     shares = [f" (weight {share})" for share in settings.get("shares", ())]
     sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")
     data = ", ".join(f"{kind} {digest[:16]}…{share}" for kind, digest, share in sources)
     amount = f"{samples} samples: datasets"
-    if samples is None:
+    if samples is None:  # `describe` counts the samples of datasets only
         amount = "samples of which each was seen once: stream"
-    versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
+    versions = ", ".join(f"{name} {version}" for name, version in metadata["versions"].items())
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
     labels = {"loss": "loss"} | {name: metric.label for name, metric in occupancy_first}
     columns = {
@@ -114,8 +155,8 @@ It takes {", ".join(network["inputs"])} of one map{gives}.
 | for | {figures["maps"]:.0f} maps seen, batch {settings["batch"]}, \
 {"Muon" if settings.get("optimizer") == "muon" else "AdamW"} at {settings["lr"]:g}, \
 seed {settings["seed"]}, {settings["precision"]} |
-| on hardware | {about["device"]} |
-| with | commit {about["commit"]}; {versions} |
+| on hardware | {metadata["device"]} |
+| with | commit {metadata["commit"]}; {versions} |
 
 Means over the validation split at the paper's thresholds, whole maps:
 
@@ -126,15 +167,16 @@ Means over the validation split at the paper's thresholds, whole maps:
 {_full_protocol(settings, command)}\
 Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \
 nothing else. It takes one scan and no history. Where no ray came near, it repeats what was usual \
-in training. {_sure(about)}
+in training. {_probabilities(metadata)}
 """
 
 
 def _full_protocol(settings: Json, command: str) -> str:
-    """What a shorter run is told to be, and the command of the full one; nothing for a full one."""
+    """Say that a run is shorter than the full protocol, and how to run that; "" if it is not."""
     epochs = settings["epochs"]
     if epochs >= FULL_EPOCHS or settings.get("maps") is not None:
         return ""
+    # 100 epochs are the default, so the full command is this one without the option
     full = re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)
     return f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and \
 stops when validation has not improved for {settings["patience"]}: `{full}`.
@@ -142,15 +184,16 @@ stops when validation has not improved for {settings["patience"]}: `{full}`.
 """
 
 
-def _sure(about: Json) -> str:
-    """What its probabilities are worth."""
-    loss = about["settings"]["loss"]
+def _probabilities(metadata: Json) -> str:
+    """Say whether the probabilities are calibrated, and by which loss they were learned."""
+    loss = metadata["settings"]["loss"]
     learned = f"with occupied voxels {loss['occupied_weight']:g} times as heavy as free ones"
     learned += " and by the Lovász hinge of the IoU, too" if loss.get("lovasz") else ""
-    held = about.get("calibration")
-    if held is None or held["temperature"] is None:
+    calibration = metadata.get("calibration")
+    if calibration is None or calibration["temperature"] is None:
         return f"Its probabilities are not calibrated, but as they were learned, {learned}."
     return (
         f"`occupancy_probability` is as it was learned, {learned}; `probability` is calibrated on "
-        f"{held['worlds']} worlds of validation, temperature {held['temperature']:.3f}."
+        f"{calibration['worlds']} worlds of validation, "
+        f"temperature {calibration['temperature']:.3f}."
     )

@@ -1,4 +1,4 @@
-"""How a run goes: its steps, its pauses, and its looks at validation."""
+"""The course of a run: its steps, learning rates and rounds, and validation."""
 
 import itertools
 import math
@@ -31,30 +31,46 @@ from scenegen.model.training.run_folder import Progress
 def validate(
     network: nn.Module, maps: Maps, config: TrainConfig, group: Group, workers: int
 ) -> Scalars:
-    """Means over samples: the losses (of each batch for all its samples), and the bench's metrics
-    at the paper's thresholds, over whole maps; a map that has no value of a metric is left out of
-    it.
+    """Measure a network on validation maps.
 
-    And ``largest``, the largest probability anywhere: while it stays below the threshold, nothing
-    is ever occupied; ``best_iou``, the mean IoU at the best threshold of these maps; and this
-    threshold, ``best_probability`` or, of a network that predicts distances alone,
-    ``best_distance_m``.
+    Args:
+        network: The network, on the device of `group`.
+        maps: Validation maps.
+        config: Settings of the run.
+        group: Processes that share the maps.
+        workers: Processes that read samples, for each process of the group.
+
+    Returns:
+        Means over maps, by name: the terms of the loss, and the bench's metrics over whole maps at
+        the paper's thresholds. A map without a value of a metric, such as one without near voxels,
+        does not count for it. Besides:
+
+        - ``largest``: the largest probability in any voxel. Nothing is predicted occupied while it
+          is below the threshold.
+        - ``best_iou``: the mean IoU at the best threshold for these maps.
+        - ``best_probability``, or ``best_distance_m`` if only distances are predicted: this
+          threshold.
+
+    Raises:
+        DatasetError: if a sample cannot be read.
     """
     network.eval()
     targets: Any = network.targets
     loss, usual = loss_of(config.loss, maps.grid, targets=targets), Thresholds()
-    sums = defaultdict[str, Floats](lambda: np.zeros(2))  # of values, and of how many they are
+    sums = defaultdict[str, Floats](lambda: np.zeros(2))  # sum and number of values
     largest, ious, judged = 0.0, list[Floats](), ""
     metrics = {
         name: metric for name, metric in metrics_of(targets).items() if not metric.bench_only
     }
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
+    # closed at once, also after an error: loader processes would outlive it
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
         for batch in loaded:
             placed = {name: values.to(group.device) for name, values in batch.items()}
             count = len(placed["tudf"])
             with autocast(group.device, group.precision):
                 output = Output(*network(placed))
+            # the mean of a batch counts for each of its maps; the last batch may be smaller
             for name, value in loss(output, placed).items():
                 sums[name] += np.array([value.item() * count, count])
             predicted = {
@@ -79,40 +95,47 @@ def validate(
                 )
                 scores = measure(scored_map, metrics)[0]
                 for name, value in zip(metrics, scores.tolist(), strict=True):
-                    if math.isfinite(value):  # a map without such voxels says nothing of them
+                    if math.isfinite(value):  # NaN if the map has no voxels to measure
                         sums[name] += (value, 1)
-    everywhere = group.gather((dict(sums), largest, ious, judged))
-    every_sum, tops, every_iou, judges = zip(*everywhere, strict=True)
+    gathered = group.gather((dict(sums), largest, ious, judged))
+    all_sums, all_largest, all_ious, all_judged = zip(*gathered, strict=True)
     means = dict.fromkeys(metrics, math.nan)
-    for name in [name for theirs in every_sum for name in theirs]:
-        total, number = sum(theirs.get(name, np.zeros(2)) for theirs in every_sum)
+    for name in [name for theirs in all_sums for name in theirs]:
+        total, number = sum(theirs.get(name, np.zeros(2)) for theirs in all_sums)
         means[name] = float(total / number)
-    mean_ious = np.mean([iou for theirs in every_iou for iou in theirs], axis=0)
-    judged = max(judges)  # a process without a map has none
+    mean_ious = np.mean([iou for theirs in all_ious for iou in theirs], axis=0)
+    judged = max(all_judged)  # "" in a process without a map, and the same in all others
     return {
         **means,
-        "largest": max(tops),
+        "largest": max(all_largest),
         "best_iou": float(mean_ious.max()),
         f"best_{judged}": getattr(best_of(judged, mean_ious, usual), judged),
     }
 
 
 STREAM_INTERVAL = 5000
-"""Maps of a stream between two looks at validation, unless a run says otherwise."""
+"""Maps of a stream between two validations, unless `TrainConfig.interval` is set."""
 
 
 class Course:
-    """All steps of a run, numbered from 0, over `maps`, as `config` says. A *round* is what lies
-    between two looks at validation: a pass over the maps, or `STREAM_INTERVAL` maps of a stream,
-    unless the configuration says otherwise.
+    """All steps of a run, numbered from 0: their learning rates and batches.
 
-    Raises DatasetError for a stream without a budget."""
+    A *round* is the steps between two validations: a pass over the maps, or `STREAM_INTERVAL` maps
+    of a stream, unless `TrainConfig.interval` is set.
+
+    Args:
+        maps: Training maps.
+        config: Settings of the run.
+
+    Raises:
+        DatasetError: if the maps are a stream, and `config` has no number of maps to see.
+    """
 
     def __init__(self, maps: Maps, config: TrainConfig):
         self._maps, self._config = maps, config
         self.batch = min(config.batch, len(maps))
-        """Maps a step."""
-        self._pass = len(maps) // self.batch
+        """Maps per step, over all processes."""
+        self._pass = len(maps) // self.batch  # steps
         self._order = maps.order(self.batch)
         if self._order is not None and config.maps is None:
             raise DatasetError(
@@ -121,42 +144,60 @@ class Course:
         interval = config.interval or (None if self._order is None else STREAM_INTERVAL)
         self.round = self._pass if interval is None else max(interval // self.batch, 1)
         """Steps of a round; the last may be shorter."""
-        self._most = (
+        self._budget = (
             config.epochs * self._pass if config.maps is None else max(config.maps // self.batch, 1)
         )
-        self._falls = config.schedule == "decay"
+        """Maximum number of steps."""
+        self._decays = config.schedule == "decay"
         """Whether the learning rate rises and falls; else it is constant."""
-        self._warmup = math.ceil(config.warmup_share * self._most) if self._falls else 0
-        self.latest_decay = self._most
+        # a constant rate has no warm-up either, so that no rate depends on the budget
+        self._warmup = math.ceil(config.warmup_share * self._budget) if self._decays else 0
+        self.latest_decay = self._budget
         """The step at which the learning rate begins to fall, unless validation stalls before."""
-        if self._falls:
-            self.latest_decay -= math.ceil(config.decay_share * self._most)
+        if self._decays:
+            self.latest_decay -= math.ceil(config.decay_share * self._budget)
 
     def steps(self, progress: Progress) -> range:
-        """The steps of the round that comes next; none where the run ends.
+        """Return the steps of the next round.
 
-        Where validation has stalled, the run ends (constant), or its decay begins, as `progress`
-        then says.
+        If validation has stalled, a run with a constant rate ends. With "decay", the decay begins
+        now, unless it has begun.
+
+        Args:
+            progress: Progress of the run; `progress.decay` is set if the decay begins.
+
+        Returns:
+            Numbers of steps; empty if the run has ended.
         """
         first = progress.epoch * self.round
         if progress.waited >= self._config.patience:
-            if not self._falls:
+            if not self._decays:
                 return range(0)
             if progress.decay is None and first < self.latest_decay:
                 progress.decay = first
         return range(first, min(first + self.round, self.end(progress.decay)))
 
     def end(self, decay: int | None) -> int:
-        """How many steps the run has, where validation stalled at step `decay`; None for not at
-        all."""
-        if decay is None or not self._falls:
-            return self._most
+        """Number of steps of the run if validation stalled at step `decay`, or never (None)."""
+        if decay is None or not self._decays:
+            return self._budget
+        # of a shorter run, too, the decay is `decay_share`
         share = self._config.decay_share
-        return decay + min(math.ceil(decay * share / (1 - share)), self._most - self.latest_decay)
+        return decay + min(math.ceil(decay * share / (1 - share)), self._budget - self.latest_decay)
 
     def rate(self, step: int, decay: int | None) -> float:
-        """The learning rate of `step`: up a line, then level, and from the decay on down a line to
-        0 at the end. "constant" has no warm-up, either: no rate depends on the budget."""
+        """Return the learning rate of a step.
+
+        It rises linearly, is constant, and falls linearly to 0 at the end of the run. With the
+        schedule "constant", it is the same for all steps.
+
+        Args:
+            step: Number of the step.
+            decay: The step at which validation stalled; None if it has not.
+
+        Returns:
+            The rate, at most `TrainConfig.lr`.
+        """
         peak, end = self._config.lr, self.end(decay)
         begin = self.latest_decay if decay is None else decay
         if step < self._warmup:
@@ -164,8 +205,17 @@ class Course:
         return peak if step < begin else peak * (end - step) / (end - begin)
 
     def batches(self, first: int, count: int) -> Iterator[list[Key]]:
-        """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
-        after the other, or a stream's own, in which no map comes twice."""
+        """Yield the batches of some steps.
+
+        Datasets are seen in passes, each in its own order. In a stream, no map comes twice.
+
+        Args:
+            first: Number of the first step.
+            count: Number of steps.
+
+        Yields:
+            The keys of `Maps` in each batch.
+        """
         config, maps = self._config, self._maps
         if self._order is not None:
             for n in range(first, first + count):
@@ -173,9 +223,9 @@ class Course:
                 turns = views(maps, config, len(order), rng_of(config.seed, n, 0))
                 yield list(zip(order, turns.tolist(), strict=True))
             return
-        begun, step = divmod(first, self._pass)
+        first_pass, step = divmod(first, self._pass)
         passes = (
-            epoch_batches(maps, config, epoch, first=step if epoch == begun else 0)
-            for epoch in itertools.count(begun)
+            epoch_batches(maps, config, epoch, first=step if epoch == first_pass else 0)
+            for epoch in itertools.count(first_pass)
         )
         yield from itertools.islice(itertools.chain.from_iterable(passes), count)

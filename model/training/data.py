@@ -1,4 +1,4 @@
-"""Samples as torch sees them: named maps by number, and batches in a seeded order."""
+"""Samples for torch: named maps by number, and batches in a seeded order."""
 
 import itertools
 import signal
@@ -30,55 +30,64 @@ from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper, Sensing
 
 LOADERS = 8
-"""Loader processes, and any number that divides this, among which a stream's batches are dealt so
-that each flight is drawn once. The order of batches is the same for any number."""
+"""The order of a stream's batches is made for so many loader processes: if their number divides
+this, each flight is drawn by one process only. The order does not depend on their number."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that stop a run."""
 SAME_RAY = 1e-6
-"""How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
+"""Rays whose unit vectors differ by less count as equal, since directions are rounded."""
 
 
 class LoaderError(DatasetError):
-    """A process that reads samples is gone."""
+    """A process that reads samples has died."""
 
 
 class Samples(Protocol):
-    """What can be trained on: numbered samples with named fields. A split of a dataset is one; so
-    is anything else that has these, and travels to processes that read."""
+    """Numbered samples with named fields, to train on: a split of a dataset, or any object with
+    these attributes that can be pickled for loader processes.
+
+    Two attributes are optional. `weight`, if not None, is the share of training samples in
+    proportion to the weights of other sources. `parts` holds settings from which targets compute
+    their channels, see `parts_of`.
+    """
 
     grid: GridSpec
     lidar: Sensor
     name: str
-    """Where the samples are from, for errors."""
+    """Name of the source, for errors."""
     kind: str
     """Kind of their worlds, for the network's card."""
     digest: str
-    """What tells these samples from all others: a run with another digest is another run."""
-
-    # where samples have a `weight` that is not None, as those of `opened` may, they come in
-    # proportion to it; where they have `parts`, targets find their channels there, see `parts_of`
+    """Identity of the samples: a run continues only with the same digest."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Sample:
-        """One sample; only its `occupancy`, and what inputs and targets access, is asked of it."""
+        """Return a sample. Only `occupancy`, and fields that inputs and targets read, are used."""
         ...
 
 
 Key = tuple[int, int]
-"""A map's index, and which view of it is taken: see `views`."""
+"""Index of a map, and number of its view: see `views`."""
 
 
 class SplitSamples:
-    """The samples of a dataset's split. Files are opened in the process that reads them."""
+    """Samples of a dataset's split, see `Samples`. Each process opens the files that it reads.
+
+    Args:
+        dataset: One dataset, or several of one collection.
+        split: Name of the split.
+        weight: See `Samples`.
+    """
 
     def __init__(self, dataset: AnyDataset, split: str, weight: Any = None):
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, dataset.name
         self.kind, self.digest = dataset.kind, dataset.digest
         self.settings = dataset.settings
-        known = (one.manifest.known for one in dataset.datasets)
-        self.known = next((one for one in known if one is not None), None)
+        known = (part.manifest.known for part in dataset.datasets)
+        self.known = next((rules for rules in known if rules is not None), None)
         self._split = dataset.split(split)
 
     def __len__(self) -> int:
@@ -89,23 +98,32 @@ class SplitSamples:
 
     @property
     def parts(self) -> list[Mapping[str, Any]]:
-        """The settings of the parts of samples of each dataset."""
-        return [one.manifest.parts for one in self._split.dataset.datasets]
+        """Settings of the parts of samples, such as labels, for each dataset."""
+        return [part.manifest.parts for part in self._split.dataset.datasets]
 
 
 def opened(names: Any, split: str) -> list[Samples]:
-    """The samples of one split of every dataset that is named. Raises DatasetError for a name of
-    none, and where two hold the same samples, or a world in two splits.
+    """Open one split of several datasets.
 
-    `names` is a list of what `open_data` takes, or of pairs (name, weight), or a mapping to
-    weights, as a stream's parts are. Weights are numbers above 0, in proportion to which samples
-    come in training, however many each dataset holds; without any, each comes once a pass.
+    Args:
+        names: Names for `open_data`, pairs (name, weight), or a mapping of names to weights, which
+            are above 0. Training draws samples in proportion to the weights, whatever the sizes of
+            the datasets; without weights, each sample comes once per pass.
+        split: Name of the split.
+
+    Returns:
+        The samples of each dataset.
+
+    Raises:
+        DatasetError: if a dataset is missing or damaged, or if two hold the same samples, or one
+            world in different splits.
     """
     if isinstance(names, Mapping):
         names = names.items()
-    parts = [one if isinstance(one, tuple) else (one, None) for one in names]
+    # of a mapping or of pairs, each entry has a weight; of names, none has
+    parts = [entry if isinstance(entry, tuple) else (entry, None) for entry in names]
     datasets = [open_data(name) for name, _ in parts]
-    check_together([one for dataset in datasets for one in dataset.datasets])
+    check_together([part for dataset in datasets for part in dataset.datasets])
     return [
         SplitSamples(dataset, split, weight)
         for dataset, (_, weight) in zip(datasets, parts, strict=True)
@@ -113,12 +131,23 @@ def opened(names: Any, split: str) -> list[Samples]:
 
 
 class Maps(Dataset):
-    """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
-    (*grid.shape) each, and the truth of occupancy, distances and `targets`, by name.
+    """One or more sources of samples, one after the other, as a dataset of torch.
 
-    ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
-    `complete` sees a scan of points. `split` is what the samples are called in
-    errors. Raises DatasetError for sources that do not go together.
+    ``maps[n]`` is a named batch of one map without the batch axis: the inputs, (*grid.shape) each,
+    and the truth of occupancy, distances and targets. ``maps[n, v]`` is the same map turned by
+    symmetry `v` % 8. From `v` = 8 on, its inputs are computed from points alone, so rays without a
+    return free nothing.
+
+    Args:
+        sources: The samples.
+        split: Name of the split, for errors.
+        inputs: Names of inputs.
+        targets: Names of targets besides occupancy and distances.
+
+    Raises:
+        DatasetError: if there is no source, if two differ in their grid or hold the same samples,
+            or if a weight is so small that no map of its source comes in a pass.
+        RecipeError: if a weight is not a number above 0.
     """
 
     def __init__(
@@ -131,27 +160,28 @@ class Maps(Dataset):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
-        for other, source in itertools.combinations(sources, 2):
-            if source.digest == other.digest:
+        for earlier, source in itertools.combinations(sources, 2):
+            if source.digest == earlier.digest:
                 raise DatasetError(
-                    f"{source.name}: holds the same samples as {other.name}; name one of the two"
+                    f"{source.name}: holds the same samples as {earlier.name}; name one of the two"
                 )
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.targets = tuple(dict.fromkeys((*BUILT_IN, *targets)))
         self.grid = sources[0].grid
-        self.settings = [one for source in sources for one in settings_of(source)]
+        self.settings = [sensing for source in sources for sensing in settings_of(source)]
         self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
-        """Whether some are of maps of real places; then all say what is ``known`` of them."""
-        self.mirrored = all(map(is_mirrored, {one.lidar for one in self.settings}))
-        """Whether a map's mirror image is one, too, that the sensor could have seen."""
+        """Whether some maps are of real places. All then have ``known``, so that they can be
+        batched."""
+        self.mirrored = all(map(is_mirrored, {sensing.lidar for sensing in self.settings}))
+        """Whether the sensors could have seen the mirror image of each map."""
         self.starts = np.cumsum([0, *map(len, sources)])
-        """The index of each source's first map."""
+        """Index of the first map of each source, and the number of all maps."""
         weights = [getattr(source, "weight", None) for source in sources]
         self.shares: list[Fraction] | None = None
-        """The weight of each source; None where each of their samples comes once a pass."""
+        """Weight of each source; None if no source has one."""
         self.counts = [len(source) for source in sources]
-        """How many maps of each come in a pass, which has as many as there are."""
+        """Number of maps of each source in a pass; their sum is the number of all maps."""
         if any(weight is not None for weight in weights):
             self.shares = [
                 fraction(1 if weight is None else weight, source.name, "train")
@@ -166,33 +196,45 @@ class Maps(Dataset):
         index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
+        # samples of a mixture may differ in their sensor
         sensor = getattr(sample, "lidar", None) or source.lidar
+        # `points_of` gives None for maps of several scans, which are shown as they are
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
         truth = {name: true_map(name, sample, source.grid) for name in self.targets}
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
+            # a distance is certain if no unknown voxel, which may be occupied, is nearer
             maps["certain"] = truth["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         batch = {name: turned(values, turn) for name, values in maps.items()}
+        # vectors of a user's own target must turn, too, not only their places
         for name, values in truth.items():
             batch[target_name(name)] = target_called(name).turned(values, turn)
         return {name: torch.from_numpy(values) for name, values in batch.items()}
 
     def channels(self) -> tuple[int, ...]:
-        """How many channels each of the `targets` has that is not built in.
+        """Return the number of channels of each target besides occupancy and distances.
 
-        Raises DatasetError where the sources do not tell, or differ.
+        Raises:
+            DatasetError: if the sources lack the parts that a target needs, or differ in them.
         """
         parts = [settings for source in self.sources for settings in parts_of(source)]
         return tuple(channels_of(name, parts) for name in self.targets[len(BUILT_IN) :])
 
     def order(self, batch: int) -> Batches | None:
-        """The batches of a stream, whose maps come in its own order; None for datasets, which are
-        seen in passes.
+        """Return the batches of a stream.
 
-        Raises DatasetError for a stream beside other sources.
+        Args:
+            batch: Maps per batch.
+
+        Returns:
+            Batches in the order of the stream; None if the sources are datasets, which are seen in
+            passes.
+
+        Raises:
+            DatasetError: if there is a stream beside other sources.
         """
         streams = [source for source in self.sources if isinstance(source, Stream)]
         if not streams:
@@ -204,10 +246,10 @@ class Maps(Dataset):
         return streams[0].batches(batch, loaders=LOADERS)
 
     def _counted(self, shares: Sequence[Fraction]) -> list[int]:
-        """Maps of each source in a pass, where they come in proportion to `shares`, but for less
-        than one map."""
-        upto = [int(len(self) * sum(shares[:n]) / sum(shares)) for n in range(len(shares) + 1)]
-        counts = [stop - start for start, stop in itertools.pairwise(upto)]
+        """Divide a pass among the sources in proportion to `shares`, exact to less than one map."""
+        # rounding cumulative numbers, not each count, keeps their sum
+        ends = [int(len(self) * sum(shares[:n]) / sum(shares)) for n in range(len(shares) + 1)]
+        counts = [stop - start for start, stop in itertools.pairwise(ends)]
         for count, source, share in zip(counts, self.sources, shares, strict=True):
             if len(self) and not (count and len(source)):
                 raise DatasetError(
@@ -218,32 +260,42 @@ class Maps(Dataset):
         return counts
 
     def name(self, index: int) -> str:
-        """Who sample `index` is, for people: source, split, number."""
+        """Name of a sample for people: source, split, number."""
         source, row = self._place(index)
         return f"{source.name}, {self.split} sample {row}"
 
     def _place(self, index: int) -> tuple[Samples, int]:
+        """Return the source of map `index`, and the number of its sample there."""
         number = int(np.searchsorted(self.starts, index, side="right")) - 1
         return self.sources[number], index - int(self.starts[number])
 
 
 def settings_of(source: Samples) -> list[Sensing]:
-    """How the samples of every part of a source were sensed: those of a user's own by their sensor,
-    in one scan a map, without noise."""
+    """Return sensor, mapping and noise of each part of a source.
+
+    By default, samples of a user's own have one scan per map without noise.
+    """
     plain = (source.lidar, getattr(source, "mapping", Mapper()), "")
-    return [Sensing(*one) for one in getattr(source, "settings", (plain,))]
+    return [Sensing(*part) for part in getattr(source, "settings", (plain,))]
 
 
 def parts_of(source: Samples) -> list[Mapping[str, Any]]:
-    """The settings of the parts of samples, such as labels, of every part of a source; a user's own
-    has `parts`, a list of them, or none."""
+    """Return the settings of samples' parts, such as labels, for each dataset or component of a
+    source. Samples of a user's own may have them in `parts`."""
     if isinstance(source, Stream):
         return [component.recipe.parts for component in source.mixture.components]
     return getattr(source, "parts", [{}])
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
-    """Raise DatasetError unless all `sources` have one grid."""
+    """Check that all sources have the same grid.
+
+    Args:
+        sources: At least one source.
+
+    Raises:
+        DatasetError: if two differ.
+    """
     first = sources[0]
     for source in sources[1:]:
         if source.grid != first.grid:
@@ -254,10 +306,10 @@ def check_alike(sources: Sequence[Samples]) -> None:
 
 
 def is_mirrored(sensor: Sensor) -> bool:
-    """Whether the rays of `sensor` are their own mirror image, left and right of the body.
+    """Whether the rays of a sensor are mirror-symmetric, left and right of the body.
 
-    Any sensor that is turned about the vertical sees what is turned; of what is mirrored, only such
-    a one sees the mirror image.
+    Only then could it have seen the mirror image of a map. A turned map needs no such condition:
+    the sensor could have been turned, too.
     """
     rays = sensor.directions_body.reshape(-1, 3)
     return bool((KDTree(rays).query(rays * (1, -1, 1))[0] < SAME_RAY).all())
@@ -266,15 +318,25 @@ def is_mirrored(sensor: Sensor) -> bool:
 def views(
     maps: Maps, config: TrainConfig, count: int, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """How each of `count` maps is shown in training, drawn: turned, and mirrored where the sensor's
-    rays allow it, or as points alone, as `config` says; 0 is the map as it is."""
+    """Draw views of maps: turned, mirrored if the sensor's rays allow it, or as points alone.
+
+    Args:
+        maps: The maps.
+        config: Settings of the run, with `augment` and `points_share`.
+        count: Number of views.
+        rng: Generator, which is advanced.
+
+    Returns:
+        (count,): numbers of views, see `Maps`; 0 is the map itself.
+    """
     drawn = rng.integers(SYMMETRIES, size=count) if config.augment else np.zeros(count)
     turns = drawn.astype(np.uint8)
     if maps.grid.shape[0] != maps.grid.shape[1]:
-        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+        turns = turns // 2 * 2  # a quarter turn would change the shape of the map
     if not maps.mirrored:
         turns = turns % (SYMMETRIES // 2)
-    if config.points_share:  # drawn last, so that the turns of other runs stay
+    # drawn last, and only if needed, so that runs without it have the same turns
+    if config.points_share:
         turns += np.uint8(SYMMETRIES) * (rng.random(count) < config.points_share)
     return turns
 
@@ -282,15 +344,23 @@ def views(
 def epoch_batches(
     maps: Maps, config: TrainConfig, epoch: int, first: int = 0
 ) -> Iterator[list[Key]]:
-    """The batches of a training epoch, from the `first` on: keys of `Maps`, in an order that
-    depends on the seed and `epoch` alone. Meanwhile, a map takes five bytes.
+    """Yield the batches of an epoch. The order depends on the seed and the epoch only.
 
-    A last batch that is not full is left out, unless it is the only one.
+    Args:
+        maps: Training maps.
+        config: Settings of the run.
+        epoch: Number of the epoch, from 0.
+        first: Number of batches to skip, for a run that continues within an epoch.
+
+    Yields:
+        The keys of `Maps` in each batch. A last batch that is not full is omitted, unless it is the
+        only one.
     """
     rng, batch = rng_of(config.seed, epoch), config.batch
     order = rng.permutation(len(maps))
     if maps.shares is not None:
         order = np.concatenate(_weighted(maps, seed=config.seed, epoch=epoch))[order]
+    # an epoch may have many millions of maps: five bytes for each, not a tuple of Python numbers
     order = order.astype(np.min_scalar_type(len(maps)))
     turns = views(maps, config, len(order), rng)
     for n in range(first, max(len(order) // batch, 1)):
@@ -299,14 +369,17 @@ def epoch_batches(
 
 
 def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
-    """The maps of a pass by source. Each source's come in an order of its own, which goes on from
-    pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
-    source have come."""
+    """Return the maps of a pass for each source.
+
+    A source's maps come in a drawn order, which continues in the next pass and is drawn anew when
+    it ends. So no map comes twice before all others of the source have come.
+    """
     orders = []
     for number, count in enumerate(maps.counts):
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
+            # three numbers, so that these draws are independent of those of epochs, which have one
             order = rng_of(seed, number, turn, 0).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
         orders.append(maps.starts[number] + np.concatenate(drawn))
@@ -316,11 +389,24 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
 def load(
     maps: Maps, batches: Iterable[Sequence[Any]], *, workers: int, pinned: bool
 ) -> Generator[Batch]:
-    """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
-    cannot be read, GenerationError for what cannot be drawn."""
+    """Read batches. Close the generator to end its processes.
+
+    Args:
+        maps: The maps.
+        batches: Keys of `Maps` for each batch.
+        workers: Processes that read; 0 to read in this one.
+        pinned: Whether tensors are in pinned memory, from which a copy to a GPU need not wait.
+
+    Yields:
+        Named batches, on the CPU.
+
+    Raises:
+        DatasetError: if a sample cannot be read.
+        GenerationError: if a sample of a stream cannot be drawn.
+    """
     loader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
-    # loaders inherit this, and leave stops to the process that trains: what signals its group
-    # would end them, too, and with them the step that is being made
+    # Loader processes inherit the mask. `timeout`, Slurm and systemd signal the whole group; if
+    # loaders ended, the training could not finish its step and save its state (docs/log).
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
         batches_read = iter(loader)
@@ -328,18 +414,26 @@ def load(
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
         yield from batches_read
-    except ScenegenError as error:  # a loader process hands over its traceback with it
+    except ScenegenError as error:
+        # torch raises the error of a loader process again, with a traceback as its message
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     finally:
-        # a traceback that holds them would keep this process from ending
+        # An error's traceback may keep the iterator alive, and processes that ignore `STOPS` would
+        # not end with this one. An iterator without processes has no such method.
         getattr(batches_read, "_shutdown_workers", lambda: None)()
 
 
 @contextmanager
 def loaders_watched() -> Iterator[None]:
-    """Raise LoaderError where a process of `load` dies: torch tells of it by a RuntimeError,
-    wherever the process that trains is then."""
+    """Turn torch's error for a dead loader process into a `LoaderError`.
+
+    Torch raises a RuntimeError from a signal handler, so it can come anywhere in the training, not
+    only in `load`.
+
+    Raises:
+        LoaderError: if a process of `load` died.
+    """
     try:
         yield
     except RuntimeError as error:
@@ -352,8 +446,11 @@ def loaders_watched() -> Iterator[None]:
 
 
 def collate(samples: Sequence[Sample]) -> dict[str, torch.Tensor]:
-    """Samples as one batch of sparse voxels: the `collate_fn` of a loader for MinkowskiEngine,
-    spconv or PyTorch Geometric.
+    """Make a batch of sparse voxels: a `collate_fn` for MinkowskiEngine, spconv or PyTorch
+    Geometric.
+
+    Args:
+        samples: Samples with one grid.
 
     Returns:
         `coordinates` (N, 4) int32: the number of the sample in the batch and the voxel, of all

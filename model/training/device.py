@@ -1,4 +1,4 @@
-"""Where a network computes, in which precision, and together with which other processes."""
+"""Device and precision of a network, and the processes of a training with several."""
 
 import math
 import os
@@ -14,11 +14,12 @@ from lidarsim import GridSpec
 from scenegen.base.errors import ScenegenError
 from scenegen.base.executors import processor
 from scenegen.model.config import LEVELS
-from scenegen.model.losses import at_least_one
+from scenegen.model.losses import local_divisor
 from scenegen.model.network import prefers_bfloat16
 
-FEWEST_CELLS = 32
-"""Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""
+MIN_CELLS = 32
+"""Number of cells at the coarsest level from which on bfloat16 is sound on a CPU. Gradients were
+wrong with 8 cells, and right with 18 (docs/log)."""
 
 
 class TrainingError(ScenegenError):
@@ -26,17 +27,21 @@ class TrainingError(ScenegenError):
 
 
 def choose_device(name: str) -> torch.device:
-    """The device called `name`; ``auto`` is a GPU where there is one, this process's own under
-    torchrun.
+    """Return the device called `name`, after trying it.
 
-    Raises TrainingError for a device that is not here.
+    Args:
+        name: A device of torch. "auto" is a GPU if there is one, else the CPU. Under torchrun,
+            "cuda" is the GPU of this process.
+
+    Raises:
+        TrainingError: if it cannot be used.
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     try:
         device = torch.device(name)
         if device.type not in ("cpu", "cuda", "mps"):
-            raise RuntimeError("no device to train on")
+            raise RuntimeError("no device to train on")  # "meta" would pass the trial below
         if device.type == "cuda" and device.index is None:
             device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
         torch.zeros(1, device=device)
@@ -53,42 +58,62 @@ def choose_device(name: str) -> torch.device:
 def resolve_precision(
     precision: str, device: torch.device, shape: tuple[int, ...] = GridSpec().shape
 ) -> torch.dtype:
-    """The type that `precision` means on `device`, for maps of `shape`.
+    """Return the type in which a network computes.
 
-    "auto" is bfloat16 where that is faster. On a CPU it is float32 for maps whose coarsest level
-    has but a few cells, too: there oneDNN's gradient of a convolution's filters in bfloat16 depends
-    on what its memory held before (docs/log).
+    Args:
+        precision: "auto" is bfloat16 if that is faster and sound, else float32.
+        device: The device.
+        shape: Shape of the maps, voxels.
+
+    Returns:
+        `torch.bfloat16` or `torch.float32`.
     """
     if precision == "auto":
         if device.type == "cuda":
+            # emulated bfloat16 would be slower than float32
             faster = torch.cuda.is_bf16_supported(including_emulation=False)
         else:
+            # over few cells, oneDNN's gradient of filters in bfloat16 depends on what its memory
+            # held before, and can be NaN (docs/log)
             cells = math.prod(edge // 2**LEVELS for edge in shape)
-            faster = cells >= FEWEST_CELLS and prefers_bfloat16()
+            faster = cells >= MIN_CELLS and prefers_bfloat16()
         precision = "bfloat16" if faster else "float32"
     return torch.bfloat16 if precision == "bfloat16" else torch.float32
 
 
 def autocast(device: torch.device, precision: torch.dtype) -> Any:
-    """Where the network computes in `precision`."""
+    """Return the context in which a network computes in a precision.
+
+    Args:
+        device: The device of the network.
+        precision: See `resolve_precision`.
+
+    Returns:
+        A context manager; for float32, one that does nothing.
+    """
     if precision == torch.float32:
         return nullcontext()
     return torch.autocast(device.type, dtype=precision)
 
 
 def device_name(device: torch.device) -> str:
-    """What a device is called."""
+    """Name of a device for people; of a CPU, with the number of its threads."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     return f"{processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
 
 
 class Group:
-    """The processes of a torchrun, or this one alone: the `device` of this one, and the `precision`
-    in which networks compute there."""
+    """The processes of a torchrun, or this one alone. A context manager, which connects them.
+
+    Args:
+        device: Device of this process.
+        precision: Type in which networks compute on it.
+    """
 
     def __init__(self, device: torch.device, precision: torch.dtype = torch.float32) -> None:
         self.device, self.precision = device, precision
+        # set by torchrun
         self.size = int(os.environ.get("WORLD_SIZE", 1))
         self.rank = int(os.environ.get("RANK", 0))
         self.first = self.rank == 0
@@ -107,7 +132,15 @@ class Group:
             dist.destroy_process_group()
 
     def first_alone(self, action: Callable[[], None]) -> None:
-        """Let the first process do something while the others wait; what it raises, all raise."""
+        """Let the first process do something while the others wait.
+
+        Args:
+            action: A function without arguments.
+
+        Raises:
+            ScenegenError: in all processes, if `action` raises one in the first.
+        """
+        # were it raised in the first process only, the others would wait for it for ever
         problem: ScenegenError | None = None
         if self.first:
             try:
@@ -119,18 +152,21 @@ class Group:
             raise problem
 
     def share_statistics(self, network: nn.Module) -> None:
-        """Give every process the first one's buffers: a user's own network may have some that each
-        updates by itself."""
+        """Copy the buffers of the first process's network to all others.
+
+        On CPUs, each process normalises its own share of a batch, so statistics of batch norms
+        differ; and a user's own network may have any buffers.
+        """
         if self.size > 1:
             for buffer in network.buffers():
                 dist.broadcast(buffer, 0)
 
     def any(self, mine: bool) -> bool:
-        """Whether any process says so."""
+        """Whether `mine` is true in any process."""
         return self.mean({"": float(mine)})[""] > 0
 
     def mean(self, mine: dict[str, float]) -> dict[str, float]:
-        """Mean of all processes' numbers, by name; all give the same names."""
+        """Mean of all processes' numbers, by name. All must give the same names in one order."""
         if self.size == 1:
             return mine
         tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=self.device)
@@ -138,15 +174,25 @@ class Group:
         return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
 
     def divisor(self, count: Tensor) -> Tensor:
-        """What each process divides a sum over its `count` things by, so that the mean of all
-        processes' quotients is the mean over all things: 1 at least, shared among the processes."""
+        """Divisor of a process's sum, such that the mean of all processes' quotients is the mean
+        over the elements of all.
+
+        Gradients are averaged over processes. If each divided by its own count, elements of a
+        process with few would weigh more.
+
+        Args:
+            count: Number of elements of this process, a scalar.
+
+        Returns:
+            Number of elements of all processes, at least 1, divided by the number of processes.
+        """
         if self.size == 1:
-            return at_least_one(count)
+            return local_divisor(count)
         dist.all_reduce(total := count.clone())
-        return at_least_one(total) / self.size
+        return local_divisor(total) / self.size
 
     def gather(self, mine: Any) -> list[Any]:
-        """What every process gives, in order."""
+        """Collect a value from every process, in the order of their ranks."""
         gathered = [mine] * self.size
         if self.size > 1:
             dist.all_gather_object(gathered, mine)

@@ -1,5 +1,4 @@
-"""Train a completion network: one plain loop, seeded, that can be interrupted anywhere and goes
-on."""
+"""Train a completion network: a seeded loop that continues after an interruption anywhere."""
 
 import itertools
 import math
@@ -51,27 +50,27 @@ from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
 RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
 """Names of a run's figures, besides metrics, that no term of a loss may have."""
 PACKAGES = ("torch", "safetensors")
-"""What a trained network depends on, besides what a dataset does."""
+"""Packages whose versions a network's file records, besides those that a dataset records."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Watcher:
     """Callbacks of a run; `stop` may end it."""
 
-    on_start: Callable[[int, int, int], None] = lambda epoch, total, done: None
-    """Called when an epoch begins, with its number from 0, its maps, and how many of them are
-    done."""
+    on_start: Callable[[int, int, int], None] = lambda epoch, total, finished: None
+    """Called when an epoch begins or continues, with its number from 0, its number of maps, and how
+    many of them an earlier process has finished."""
     on_step: Callable[[int, float], None] = lambda maps, loss: None
-    """Called with the maps and the loss of every step."""
+    """Called after each step with its number of maps and its loss."""
     on_epoch: Callable[[Scalars], None] = lambda row: None
-    """Called with the figures of every finished epoch."""
+    """Called after each epoch with its figures."""
     stop: Callable[[], bool] = lambda: False
-    """Whether to stop, state saved."""
+    """Called after each step; if it returns True, the state is saved and training ends."""
 
 
 def train(
     training: Sequence[Samples],
-    checking: Sequence[Samples],
+    validation: Sequence[Samples],
     config: TrainConfig,
     out: Path,
     *,
@@ -81,59 +80,85 @@ def train(
     watcher: Watcher | None = None,
     weights: str | Path | None = None,
 ) -> list[Scalars]:
-    """Train on the samples in `training`, validate on those in `checking`, keep the best network in
-    `out`.
+    """Train a network, and keep the best one in a folder.
 
-    A run with the same settings that `out` holds already goes on where it was; one that is finished
-    stays as it is. The first weights are random, or those of the network called `weights`, which
-    must be of `config.network`. Under ``torchrun`` every process takes its part of each batch.
-    Returns the figures of every epoch. Raises DatasetError, CheckpointError, TrainingError, and
-    StoppedError when `watcher` asks to stop; whatever is raised, the last good state stays in
-    `out`.
+    If the folder holds a run with the same settings, it continues. A finished run stays as it is.
+    Under ``torchrun``, each process takes its share of each batch. After any error, the last good
+    state is in the folder, and the same call continues.
+
+    Args:
+        training: Samples to train on.
+        validation: Samples for validation, with the same grid.
+        config: Settings of the run.
+        out: Folder of the run.
+        device: See `choose_device`.
+        workers: Processes that read samples; 0 to read in this one.
+        command: Command line, which the network's file records.
+        watcher: Callbacks.
+        weights: Name of a network with the settings of `config.network`, to begin with; by default,
+            weights are random.
+
+    Returns:
+        Figures of each epoch.
+
+    Raises:
+        DatasetError: if the samples do not fit together or cannot be read, if the disk refuses, or
+            if the folder holds a run with other settings.
+        CheckpointError: if `weights`, or the state in the folder, does not fit.
+        TrainingError: if the device cannot be used, memory runs out, a loss is not finite, or a
+            user's own network, target or loss is invalid.
+        StoppedError: if `watcher` stops the run.
     """
-    watcher, where = watcher or Watcher(), choose_device(device)
+    watcher, torch_device = watcher or Watcher(), choose_device(device)
     channels = config.network.inputs, config.network.targets
-    maps, checks = Maps(training, "train", *channels), Maps(checking, "val", *channels)
+    maps, checks = Maps(training, "train", *channels), Maps(validation, "val", *channels)
     variant, sizes = config.network.variant, dict[str, Any]()
-    if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
+    # sizes that follow from the data; networks that do not depend on the height take any
+    if is_own(variant) or VARIANTS[variant].columns:
         sizes["height"] = maps.grid.shape[2]
     if config.network.targets:
         sizes["channels"] = maps.channels()
     config = replace(config, network=replace(config.network, **sizes))
     precision = config.precision
-    if precision == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
+    # "auto" may mean another type on this machine than on the one where the run was begun
+    if precision == "auto" and (out / CONFIG).exists():
         precision = RunFolder(out).settings()["precision"]
-    dtype = resolve_precision(precision, where, maps.grid.shape)
-    group = Group(where, dtype)
+    dtype = resolve_precision(precision, torch_device, maps.grid.shape)
+    group = Group(torch_device, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
         course = Course(maps, config)
         torch.manual_seed(config.seed)
-        network = placed(build(config.network), where)
+        network = placed(build(config.network), torch_device)
         settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
-        rehearse(network, config, checks, where)
-        about = {"settings": settings, **origin(maps, command, where)}
-        group.first_alone(lambda: folder.open(about))
+        rehearse(network, config, checks, torch_device)
+        metadata = {"settings": settings, **origin(maps, command, torch_device)}
+        group.first_alone(lambda: folder.open(metadata))
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, group)
         while steps := course.steps(progress):
-            begin, done = time.monotonic() - progress.seconds, progress.step
-            watcher.on_start(progress.epoch, len(steps) * course.batch, done * course.batch)
+            # a continued epoch began earlier, and has finished some steps
+            begin, finished = time.monotonic() - progress.seconds, progress.step
+            watcher.on_start(progress.epoch, len(steps) * course.batch, finished * course.batch)
             network.train()
-            batches, ahead = itertools.tee(course.batches(steps.start + done, len(steps) - done))
+            # loaders read ahead of the steps, so the keys are iterated twice
+            batches, ahead = itertools.tee(
+                course.batches(steps.start + finished, len(steps) - finished)
+            )
             mine = (batch[group.rank :: group.size] for batch in ahead)
-            read = load(maps, mine, workers=workers, pinned=where.type == "cuda")
+            read = load(maps, mine, workers=workers, pinned=torch_device.type == "cuda")
             with closing(read):
-                for step, batch, tensors in zip(steps[done:], batches, read, strict=False):
-                    # a user's own network may draw, as dropout does
+                for step, batch, tensors in zip(steps[finished:], batches, read, strict=False):
+                    # a user's own network may draw, as dropout does; a continued run draws the same
                     torch.manual_seed(config.seed + step * group.size + group.rank)
                     losses = learn(tensors, course.rate(step, progress.decay))
                     check_finite(losses, maps, batch, progress)
                     progress.add(losses, seconds=time.monotonic() - begin)
                     watcher.on_step(len(batch), losses["loss"])
+                    # a signal may reach one process only, but all must stop at the same step
                     if group.any(watcher.stop()):
                         folder.save(progress)
                         raise StoppedError(f"stopped; the same command goes on with {out}")
@@ -143,8 +168,9 @@ def train(
             check_finite({"validation loss": validated["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
             row = progress.close(validated, maps=steps.stop * course.batch, seconds=seconds)
-            group.first_alone(  # and nobody opens a network before it is there
-                lambda: folder.close_round(progress, network, maps.grid, about, config.choose)
+            # the others wait, so that none returns before the network is written
+            group.first_alone(
+                lambda: folder.close_round(progress, network, maps.grid, metadata, config.choose)
             )
             watcher.on_epoch(row)
         folder.draw_rows(progress.rows)
@@ -152,7 +178,17 @@ def train(
 
 
 def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progress) -> None:
-    """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
+    """Check that losses are finite.
+
+    Args:
+        losses: Losses by name.
+        maps: Training maps.
+        batch: Keys of the batch, whose samples the message names; empty for validation.
+        progress: Progress of the run, for the message.
+
+    Raises:
+        TrainingError: if a loss is NaN or infinite.
+    """
     if all(map(math.isfinite, losses.values())):
         return
     figures = ", ".join(f"{name} {value:.4g}" for name, value in losses.items())
@@ -165,9 +201,10 @@ def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progre
 
 @dataclass
 class Step:
-    """One optimiser step: loss, gradient, update."""
+    """One step of the optimiser: loss, gradient, update."""
 
     network: nn.Module
+    """On the device of `group`."""
     optimizer: torch.optim.Optimizer
     config: TrainConfig
     grid: GridSpec
@@ -176,20 +213,32 @@ class Step:
     def __post_init__(self) -> None:
         targets: Any = self.network.targets
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor, targets)
-        self._own = hasattr(self.network, "training_step")
-        model = OwnStep(self.network) if self._own else self.network
+        self._has_step = hasattr(self.network, "training_step")
+        # `DistributedDataParallel` and the compiler see forward passes only
+        model = OwnStep(self.network) if self._has_step else self.network
         if self.group.size > 1:
-            if self.group.device.type == "cuda":  # elsewhere, each process normalises its part
+            # torch has this for GPUs only; on CPUs, each process normalises its share of a batch
+            if self.group.device.type == "cuda":
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
-            own = is_own(self.config.network.variant)  # and may have weights that it does not use
-            model = DistributedDataParallel(model, find_unused_parameters=own)
+            # a user's own network may have weights that a step does not use; looking for them costs
+            # time, and ours have none
+            unused = is_own(self.config.network.variant)
+            model = DistributedDataParallel(model, find_unused_parameters=unused)
         self._model = torch.compile(model) if self.config.compile else model
 
     def __call__(self, batch: Batch, rate: float) -> Scalars:
-        """The losses of a batch and the norm of their gradient, before learning from it: means over
-        all processes.
+        """Take one step.
 
-        Raises TrainingError where memory runs out, or torch cannot compile.
+        Args:
+            batch: This process's share of the batch.
+            rate: Learning rate.
+
+        Returns:
+            Losses by name before the update, and the norm of the gradient as ``gradient``; means
+            over all processes.
+
+        Raises:
+            TrainingError: if memory runs out, or torch cannot compile the network.
         """
         for parameters in self.optimizer.param_groups:
             parameters["lr"] = rate
@@ -199,7 +248,7 @@ class Step:
             if is_out_of_memory(error):
                 maps = len(batch["occupancy"]) * self.group.size
                 message = f"out of memory: a batch of {maps} does not fit; give a smaller --batch"
-            elif type(error).__module__.startswith("torch._"):  # what `--compile` calls
+            elif type(error).__module__.startswith("torch._"):  # the compiler's own errors
                 message = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
             else:
                 raise
@@ -211,63 +260,67 @@ class Step:
         }
         self.optimizer.zero_grad()
         with autocast(self.group.device, self.group.precision):
-            given = self._model(batch)
-        losses = summed(given) if self._own else self._loss(Output(*given), batch)
+            result = self._model(batch)
+        losses = summed(result) if self._has_step else self._loss(Output(*result), batch)
         losses["loss"].backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
-        if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
+        # else the weights stay good, and `check_finite` ends the run
+        if torch.isfinite(norm):
             self.optimizer.step()
         return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
 
 
 class OwnStep(nn.Module):
-    """The `training_step` of a user's own network as a forward pass, which several processes
-    share."""
+    """The `training_step` of a user's own network as a forward pass."""
 
     def __init__(self, network: Any):
         super().__init__()
         self.network = network
 
     def forward(self, batch: Batch) -> Any:
-        """The losses of a batch."""
+        """Return the losses of a batch; see docs/own-network.md."""
         return self.network.training_step(batch)
 
 
 class Muon(torch.optim.AdamW):
-    """Filters of convolutions by Muon (Jordan et al. 2024), everything else by AdamW.
+    """Muon (Jordan et al. 2024) for filters of convolutions, AdamW for all other parameters.
 
-    A step moves filters along their momentum, made orthogonal. It is three times as long as AdamW's
-    would be (once in Liu et al. 2025), which is better from random weights (docs/log).
+    A step moves filters along their orthogonalised momentum.
     """
 
     MOMENTUM = 0.95
     QUINTIC = 3.4445, -4.775, 2.0315
-    """Of the polynomial that brings singular values near 1 in five rounds (Jordan et al.)."""
+    """Coefficients of a polynomial that brings singular values near 1 in five iterations (Jordan et
+    al. 2024)."""
+    STEP_SIZE = 0.6
+    """Scale of a step: three times that of AdamW, which is better from random weights (docs/log).
+    0.2 would be the size of AdamW (Liu et al. 2025)."""
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> Any:
-        """See torch.optim.Optimizer."""
+        """See `torch.optim.Optimizer.step`."""
         for group in self.param_groups:
             for filters in group["params"]:
                 if filters.ndim < 3 or filters.grad is None:
                     continue
                 state = self.state[filters]
-                if not state:  # "step" is what AdamW looks for when it is copied
+                if not state:  # AdamW expects "step" in all states when it is copied
                     state.update(step=torch.zeros(()), momentum=torch.zeros_like(filters))
                 momentum = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
+                # Nesterov's momentum; a filter is a matrix with a row for each output channel
                 rows = filters.grad.lerp(momentum, self.MOMENTUM).flatten(1)
-                size = 0.6 * math.sqrt(max(rows.shape))
+                size = self.STEP_SIZE * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
                 filters.sub_(self._orthogonal(rows).view(filters.shape), alpha=group["lr"] * size)
-                filters.grad = None  # nothing for AdamW to do
+                filters.grad = None  # so that AdamW skips them
         return super().step(closure)
 
     def _orthogonal(self, rows: Tensor) -> Tensor:
-        """The nearest matrix whose singular values are about 1."""
-        if rows.shape[0] > rows.shape[1]:
+        """Return approximately the nearest matrix whose singular values are all 1."""
+        if rows.shape[0] > rows.shape[1]:  # so that `square` is the smaller product
             return self._orthogonal(rows.T).T
         a, b, c = self.QUINTIC
-        wide = rows / (rows.norm() + 1e-7)
+        wide = rows / (rows.norm() + 1e-7)  # singular values of at most 1, as the iteration needs
         for _ in range(5):
             square = wide @ wide.T
             wide = a * wide + (b * square + c * square @ square) @ wide
@@ -275,8 +328,16 @@ class Muon(torch.optim.AdamW):
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """The optimiser of the configuration; weight decay is for what multiplies features, and for
-    vectors only where the configuration says so."""
+    """Make the optimiser.
+
+    Args:
+        network: The network.
+        config: Settings of the run.
+
+    Returns:
+        Muon or AdamW. Weight decay is applied to matrices and filters; to biases and scales of
+        norms only with `config.decay_all`.
+    """
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
     for parameter in network.parameters():
         groups[config.weight_decay if config.decay_all or parameter.ndim > 1 else 0.0].append(
@@ -288,7 +349,18 @@ def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:
-    """Raise DatasetError or TrainingError where these splits cannot be trained on."""
+    """Check that a network can be trained on some maps.
+
+    Args:
+        maps: Training maps.
+        checks: Validation maps.
+        config: Settings of the run.
+        processes: Number of processes that share each batch.
+
+    Raises:
+        DatasetError: if a split is empty, the network does not take the grid, or grids differ.
+        TrainingError: if a batch cannot be divided equally among the processes.
+    """
     for split in (maps, checks):
         if not len(split):
             names = ", ".join(source.name for source in split.sources)
@@ -305,7 +377,16 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
 
 
 def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
-    """What decides a run: a run with another description is another run."""
+    """Describe all that a run's result depends on; a run continues only with the same description.
+
+    Args:
+        maps: Training maps.
+        config: Settings of the run.
+        precision: Type in which the network computes.
+
+    Returns:
+        JSON: the settings, and the datasets with digests, kinds, number of samples and weights.
+    """
     return {
         "datasets": [source.digest for source in maps.sources],
         "kinds": [source.kind for source in maps.sources],
@@ -317,34 +398,58 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
 
 
 def origin(maps: Maps, command: str, device: torch.device) -> Json:
-    """What a network remembers of where it comes from, besides its settings."""
+    """Describe the origin of a network, besides its settings.
+
+    Args:
+        maps: Training maps.
+        command: Command line.
+        device: Device of the training.
+
+    Returns:
+        JSON: command, commit, versions, device, and sensor, noise and mapping of the samples; under
+        ``also``, those of further parts of a dataset that differ.
+    """
     python = {"python": platform.python_version()}
-    about = {
+    software_entry = {
         "command": command,
         "commit": commit(),
         "versions": software() | python | {name: installed(name) for name in PACKAGES},
         "device": device_name(device),
     }
-    ways: dict[tuple[Any, Any], set[str]] = {}
+    # a completion compares its sensor with these entries: one for each sensor and mapping
+    noises_of: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:
-        ways.setdefault((lidar, mapping), set()).add(noise)
-    first, *others = [
+        noises_of.setdefault((lidar, mapping), set()).add(noise)
+    first, *further = [
         {"lidar": sensor_entry(lidar)}
         | ({"noise": sorted(noises)} if any(noises) else {})
         | ({} if mapping.plain else {"mapping": mapping_entry(mapping)})
-        for (lidar, mapping), noises in ways.items()
+        for (lidar, mapping), noises in noises_of.items()
     ]
-    return about | first | ({"also": others} if others else {})
+    return software_entry | first | ({"also": further} if further else {})
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:
-    """Raise TrainingError where a network, a target or a loss of a user's own does not say of one
-    map what it should; what comes with scenegen is not tried."""
+    """Try a user's own network, target or loss on one map, so that faults are reported at once.
+
+    Does nothing if all of them come with scenegen.
+
+    Args:
+        network: The network, on the device.
+        config: Settings of the run.
+        maps: Maps, of which the first is tried.
+        device: The device.
+
+    Raises:
+        TrainingError: if shapes, types or values are invalid, if a term of the loss has a reserved
+            name, or if the loss does not depend on a weight.
+    """
     variant, objective = config.network.variant, config.loss.objective
     if not (is_own(variant) or is_own(objective) or config.network.targets):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
     raw = network.eval()(batch)
+    # a result of another kind is compared below like one of a wrong shape
     output = Output(*raw) if isinstance(raw, tuple) and len(raw) in (2, 3) else Output(raw, None)
     shapes = {name: getattr(values, "shape", values) for name, values in output.by_target.items()}
     expected = {}
@@ -358,10 +463,11 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         )
     if not shapes.keys() & BUILT_IN.keys():
         raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
+    # the same check as for predictions of any method: probabilities from 0 to 1, finite numbers
     with torch.no_grad(), reraise_as(TrainingError, of=PredictionError):
         predicted = Prediction.of(output.predictions(network.targets, maps.grid))
         check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
-    for name, value in network.state_dict().items():
+    for name, value in network.state_dict().items():  # files hold no other types
         if value.dtype not in DTYPES:
             raise TrainingError(
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
@@ -384,12 +490,21 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
 
 
 def begin_from(weights: str | Path, network: Any) -> str:
-    """Give `network` the weights of another one, and return their file's SHA-256. Raises
-    CheckpointError where that is another network."""
+    """Copy the weights of another network.
+
+    Args:
+        weights: Name of that network; see `Completer.from_pretrained`.
+        network: The network to train, which is changed.
+
+    Returns:
+        SHA-256 of the file of `weights`, which is part of the run's settings.
+
+    Raises:
+        CheckpointError: if there is no such network, or it has other settings than `network`.
+    """
     source = open_network(weights)[0]
     if source.config != network.config:
-        there, asked = (asdict(one.config) for one in (source, network))
-        unlike = "; ".join(differences(there, asked))
+        unlike = "; ".join(differences(asdict(source.config), asdict(network.config)))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(source.state_dict())
     return file_sha256(locate(weights))

@@ -1,5 +1,4 @@
-"""A training run on disk: its settings, its figures, its best network, and all that is needed to go
-on."""
+"""Folder of a training run: its settings, its figures, its best network, and its state."""
 
 import csv
 import fcntl
@@ -32,46 +31,58 @@ from scenegen.model.training.card import Scalars, card, draw, read_rows
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST = "best.safetensors", "last.safetensors"
 FILES = (ROWS, CURVE, CARD, BEST, LAST)
-"""What a run writes, and replaces, in a folder with its `CONFIG`."""
+"""Files that a run writes and replaces, but only in a folder with its `CONFIG`."""
 SAVE_EVERY_S = 60.0
-"""How much work a kill may cost, seconds."""
+"""Time between two saves of the state within a round, seconds: the work that a kill may cost."""
 
 
 @dataclass
 class Progress:
-    """How far a run has come; with the weights and the optimiser's moments, all that the rest of it
-    depends on."""
+    """Progress of a run. A run continues from this, the weights, and the optimiser's state."""
 
     step: int = 0
-    """Steps of the next epoch that are done."""
+    """Finished steps of the current epoch."""
     decay: int | None = None
-    """The step at which validation stalled and the learning rate began to fall; None while it has
-    not."""
+    """The step at which validation stalled and the learning rate began to fall; None before."""
     sums: Scalars = field(default_factory=dict)
-    """Each loss, summed over the epoch's steps so far."""
+    """Sum of each loss over the epoch's finished steps."""
     seconds: float = 0.0
-    """How long the epoch has taken so far."""
+    """Duration of the epoch so far."""
     rows: list[Scalars] = field(default_factory=list)
-    """One a finished epoch: see docs/training.md."""
+    """Figures of each finished epoch; see docs/training.md."""
 
     @property
     def epoch(self) -> int:
-        """How many epochs are finished."""
+        """Number of finished epochs, which is the number of the current one, from 0."""
         return len(self.rows)
 
     @property
     def waited(self) -> int:
-        """How many epochs are finished since the one of the lowest validation loss."""
+        """Number of epochs since the one with the lowest validation loss."""
         losses = [row["val_loss"] for row in self.rows]
         return self.epoch - 1 - losses.index(min(losses)) if losses else 0
 
     def add(self, losses: Scalars, *, seconds: float) -> None:
-        """Count a step, after which the round has taken so many `seconds`."""
+        """Count a step.
+
+        Args:
+            losses: Its losses by name.
+            seconds: Duration of the epoch, with this step.
+        """
         self.step, self.seconds = self.step + 1, seconds
         self.sums = {name: self.sums.get(name, 0.0) + value for name, value in losses.items()}
 
     def close(self, validated: Scalars, *, maps: int, seconds: float) -> Scalars:
-        """Count a round after which the run has seen `maps` maps, and give its row."""
+        """Count an epoch, and begin the next.
+
+        Args:
+            validated: Figures of the validation, by name.
+            maps: Number of maps that the run has seen.
+            seconds: Duration of the epoch, with validation.
+
+        Returns:
+            Figures of the epoch.
+        """
         row = {"epoch": self.epoch + 1.0, "maps": float(maps), "seconds": seconds}
         row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
         row |= {f"val_{name}": value for name, value in validated.items()}
@@ -81,10 +92,11 @@ class Progress:
 
 
 class RunFolder:
-    """The folder of one run. Files in it are whole or absent, and the last good ones outlive any
-    failure.
+    """Folder of one run. Files are written atomically, so the last good ones survive any failure.
 
-    Of several processes that train together, one `writes`.
+    Args:
+        path: The folder.
+        writes: Whether this process writes files. Of several that train together, one does.
     """
 
     def __init__(self, path: Path, *, writes: bool = True):
@@ -94,14 +106,19 @@ class RunFolder:
         self._learns: tuple[nn.Module, torch.optim.Optimizer]
 
     def open(self, settings: Json) -> None:
-        """Begin a run with `settings`, or continue the one that was begun with them.
+        """Begin a run, or continue the one in the folder.
+
+        Args:
+            settings: Metadata of the run. Only its `settings` must be those of a run that is
+                continued; command, commit and device may differ.
 
         Raises:
-            DatasetError: if the folder holds a run with other settings, or one that another process
-                works on.
+            DatasetError: if the folder holds a run with other settings or files without a run, if
+                another process works on it, or if the disk refuses.
         """
         with disk_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
+            # on the folder itself: a lock file could be left behind by a kill
             self._lock = os.open(self.path, os.O_RDONLY)  # held until `close`
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -111,6 +128,7 @@ class RunFolder:
             ) from None
         except OSError:  # a file system without locks
             pass
+        # with the lock, no other process can be writing them
         remove_temp_files(self.path)
         config = self.path / CONFIG
         if config.exists():
@@ -120,17 +138,22 @@ class RunFolder:
                     f"({printable('; '.join(unlike))[:1000]}); give those, or another --out"
                 )
             return
+        # never replace files that no run has written
         if odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
         write_atomic(config, (json.dumps(settings, indent=1) + "\n").encode())
 
     def close(self) -> None:
-        """Let other processes work on the run."""
+        """Release the lock, so that other processes can work on the run."""
         if self._lock is not None:
             os.close(self._lock)
 
     def settings(self) -> Json:
-        """What the run was begun with. Raises DatasetError where there is none."""
+        """Read the settings of the run, updated to this version.
+
+        Raises:
+            DatasetError: if the folder holds no run, or its settings are damaged.
+        """
         try:
             content = read_bounded(self.path / CONFIG, MAX_HEADER_BYTES)
             settings = dict(json.loads(content)["settings"])
@@ -142,7 +165,7 @@ class RunFolder:
             ) from None
 
     def save(self, progress: Progress) -> None:
-        """Write all that is needed to go on from here, of what `restore` was given."""
+        """Write the state: progress, and network and optimiser that `restore` was called with."""
         if not self._writes:
             return
         network, optimizer = self._learns
@@ -155,7 +178,7 @@ class RunFolder:
         self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:
-        """Save the state if it was last saved long ago."""
+        """Save the state if `SAVE_EVERY_S` have passed since the last save."""
         if time.monotonic() - self._saved > SAVE_EVERY_S:
             self.save(progress)
 
@@ -164,42 +187,65 @@ class RunFolder:
         progress: Progress,
         network: nn.Module,
         grid: GridSpec,
-        about: Json,
+        metadata: Json,
         choose: str,
     ) -> None:
-        """Write what a finished round leaves, and its network if it is the one to keep so far."""
+        """Write figures and state after a round, and its network with a card if it is the best.
+
+        Args:
+            progress: Progress of the run, with the round's figures.
+            network: The network.
+            grid: Grid of the maps.
+            metadata: Metadata of the network, without figures.
+            choose: `TrainConfig.choose`: a term of the loss, or "last".
+
+        Raises:
+            DatasetError: if the disk refuses.
+        """
         rows, by = progress.rows, f"val_{choose}"
+        # The state comes last: a kill before it repeats the round, with the same files as result.
         if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
-            header = {**about, "figures": rows[-1]}
+            header = {**metadata, "figures": rows[-1]}
             save_network(self.path / BEST, network, grid, header)
             write_atomic(self.path / CARD, card(self.path.name, header).encode())
         self.write_rows(rows)
         self.save(progress)
 
     def best(self) -> Scalars | None:
-        """The figures of the network that the run keeps; None before there is one."""
+        """Read the figures of the best network; None before the first round has ended."""
         path = self.path / BEST
         return load_tensors(path)[1]["about"]["figures"] if path.exists() else None
 
     def restore(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> Progress:
-        """Bring back what `save` wrote last, if it did; it then saves these two. Raises
-        CheckpointError where it is damaged."""
+        """Read the last saved state, if there is one. `save` then saves this network and optimiser.
+
+        Args:
+            network: The network, which gets the saved weights.
+            optimizer: Its optimiser, which gets the saved moments.
+
+        Returns:
+            Progress of the run; at its begin if nothing was saved.
+
+        Raises:
+            CheckpointError: if the state is damaged, or of another network.
+        """
         self._learns = network, optimizer
         if not (self.path / LAST).exists():
             return Progress()
         try:
             tensors, header = load_tensors(self.path / LAST)
             weights = {}
-            for place, value in tensors.items():
-                kind, _, name = place.partition("/")
+            for key, value in tensors.items():
+                kind, _, name = key.partition("/")
                 if kind == "network":
                     weights[name] = value
                     continue
-                name, _, key = name.rpartition("/")
-                like = network.get_parameter(name)
-                # a step count is a lone number; moments lie in memory as their weights do
-                moment = value if key == "step" else torch.empty_like(like).copy_(value)
-                optimizer.state[like][key] = moment
+                name, _, entry = name.rpartition("/")
+                parameter = network.get_parameter(name)
+                # moments get the memory layout of their weights (see `placed`), in which the
+                # undisturbed run has them; a step count is a scalar
+                moment = value if entry == "step" else torch.empty_like(parameter).copy_(value)
+                optimizer.state[parameter][entry] = moment
             network.load_state_dict(weights)
             return Progress(**header)
         except (CheckpointError, AttributeError, TypeError, ValueError, RuntimeError):
@@ -209,9 +255,10 @@ class RunFolder:
             ) from None
 
     def write_rows(self, rows: list[Scalars]) -> None:
-        """Write the figures of all epochs."""
+        """Write the figures of all epochs; also those of the last to TensorBoard, if installed."""
         text = io.StringIO()
-        names = dict.fromkeys(name for row in rows for name in row)  # they may grow on the way
+        # columns may begin later, such as in a run that an earlier version began
+        names = dict.fromkeys(name for row in rows for name in row)
         writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
@@ -225,8 +272,7 @@ class RunFolder:
                 writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
 
     def draw_rows(self, rows: list[Scalars]) -> None:
-        """Draw the figures that `write_rows` wrote, if matplotlib is installed and they are not
-        drawn yet: `scenegen render` draws those of a run that has not ended."""
+        """Draw the figures if they have changed since, and if matplotlib is installed."""
         files = self.path / CURVE, self.path / ROWS
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
         if drawn < written and self._writes:
@@ -240,13 +286,24 @@ FACTS = (
     "epoch", "val_loss", "val_iou", "val_best_iou", "val_best_probability", "val_best_distance_m",
     "val_near_mae",
 )  # fmt: skip
-"""Figures of the best epoch that `run_facts` gives."""
+"""Figures of the best epoch in `run_facts`."""
 
 
 def run_facts(folder: Path) -> Json:
-    """A training run's folder: what was trained on what, and how far it came. Raises
-    DatasetError."""
+    """Summarise a run: its network, its samples, and the figures of its best epoch.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        JSON.
+
+    Raises:
+        DatasetError: if the folder holds no run, or no finished epoch.
+        CheckpointError: if its network is damaged.
+    """
     run, rows = RunFolder(folder), read_rows(folder / ROWS)
+    # a copied folder may lack the network
     settings, best = run.settings(), run.best() or min(rows, key=lambda row: row["val_loss"])
     network = settings["network"]
     return {

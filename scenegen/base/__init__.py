@@ -1,2 +1,2 @@
-"""What every room above stands on: errors, files and stores, limits, paths and their types, and
-where work is done."""
+"""The base of all other rooms: errors, files and stores, limits, paths and their types, and
+executors of work."""

@@ -95,7 +95,7 @@ MAX_MEMBERS = 65_000
 SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
 """Time, seconds, and memory, bytes, of the process that reads an untrusted MJCF file."""
 
-MAX_ASKED: Mapping[str, int] = {
+MAX_MJCF_VALUES: Mapping[str, int] = {
     "memory": 1 << 30,
     "nstack": 1 << 27,
     "nkey": 1000,

@@ -57,6 +57,8 @@ class PathType:
     """``module:function`` that draws it as a matplotlib figure."""
     shows: str = ""
     """``module:function`` that returns some of its samples as `scenegen.view.look.Look`."""
+    film: bool = False
+    """Whether these samples follow one another in time."""
 
 
 def ends(*endings: str) -> Test:
@@ -87,8 +89,14 @@ def begins(ending: str, pattern: str) -> Test:
 
 
 def names(ending: str, word: str) -> Test:
-    """A test for files by the end of their names and a string of JSON that they hold, anywhere:
-    other programs write keys in another order."""
+    """Make a test for files by their ending and a string of JSON anywhere in them.
+
+    A test of the first bytes would not do, since other programs write keys in another order.
+
+    Args:
+        ending: The ending, such as ".json".
+        word: The string, without quotes.
+    """
 
     def test(path: Path) -> bool:
         is_read = path.suffix == ending and path.is_file()  # a pipe would never end
@@ -141,6 +149,7 @@ _WORLD: dict[str, Any] = {
     "opens": "scenegen.draw.source:read_world",
     "facts": "scenegen.view.inspect:inspect_world",
     "draws": "scenegen.view.pictures:draw_world_file",
+    "shows": "scenegen.view.opened:looks_of_world",
 }
 TYPES = {
     # order matters: a collection's folder, for example, would also pass as "datasets"
@@ -190,17 +199,22 @@ TYPES = {
         form=f"a file that ends in {', '.join(RECORDINGS)}, or a folder with poses.txt",
         test=is_log,
         opens="scenegen.logs.read:read_log",
+        shows="scenegen.view.opened:looks_of_log",
+        film=True,
     ),
     "scans": PathType(
         form="a folder with scans in it",
         test=holds_scans,
         opens="scenegen.worlds.clouds:scans_in",
+        shows="scenegen.view.opened:looks_of_scans",
+        film=True,
     ),
     "map": PathType(
         form="a .bt or .ot file, or an .npz file of `scenegen map`",
         test=is_map,
         opens="scenegen.draw.source:read_world",
         facts="scenegen.view.inspect:inspect_world",
+        shows="scenegen.view.opened:looks_of_world",
     ),
     "scan": PathType(
         form=f"a file that ends in {', '.join(SCANS)}",
@@ -208,6 +222,7 @@ TYPES = {
         opens="scenegen.worlds.clouds:read_cloud",
         facts="scenegen.view.inspect:scan_facts",
         draws="scenegen.view.pictures:draw_scan",
+        shows="scenegen.view.opened:looks_of_scan",
     ),
     "world": PathType(form="an MJCF file, .xml", test=ends(".xml"), **_WORLD),
     "mesh": PathType(form=f"a file that ends in {', '.join(MESHES)}", test=ends(*MESHES), **_WORLD),
@@ -215,6 +230,7 @@ TYPES = {
         form="a floor plan of ROS, .yaml",
         test=ends(".yaml"),
         opens="scenegen.draw.source:read_world",
+        shows="scenegen.view.opened:looks_of_world",
     ),
     "weights": PathType(
         form="a .safetensors or .onnx file",

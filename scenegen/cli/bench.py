@@ -1,5 +1,5 @@
-"""`scenegen bench`, `export` and `calibrate`: what methods are worth, and networks as ONNX and with
-known doubts; and the option --weights of every command, which names networks."""
+"""`scenegen bench`, `export` and `calibrate`, and the option --weights of all commands, which names
+networks."""
 
 import json
 import shlex
@@ -22,13 +22,13 @@ from scenegen.cli.options import (
     command,
     datasets_argument,
     executing,
+    fields_in,
     find_datasets,
     group,
     options_of,
     out_option,
     printing,
     split_option,
-    taken,
     together,
 )
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, info, show_columns
@@ -52,14 +52,24 @@ if TYPE_CHECKING:
 
 
 class Weights(click.ParamType):
-    """A bundled network's name, a file, a run's folder, or hf://user/name[@revision]; of one's own
-    code, after its module:Class and @."""
+    """Type of a network's name: a bundled one, a file, a run's folder, or hf://user/name[@revision];
+    a user's own code stands before it, as in module:Class@FILE."""
 
     name = "weights"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """The name as it is, if it can be one: a typo is told before torch is loaded.
-        `Completer.from_pretrained` looks up what it leads to."""
+        """Check a name, so that a typo is reported before torch is imported.
+
+        `Completer.from_pretrained` opens the network later.
+
+        Args:
+            value: The name.
+            param: The option.
+            ctx: Context of the command.
+
+        Returns:
+            The name unchanged. A name that leads to no network is a `click.UsageError`.
+        """
         word = split_own(value)[1]
         path = Path(word)
         if not (word in bundled() or path.suffix or path.exists() or "/" in word):
@@ -67,25 +77,43 @@ class Weights(click.ParamType):
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Bundled networks that begin with what is typed, or else files."""
+        """Complete a name for the shell.
+
+        Args:
+            ctx: Context of the command, unused.
+            param: The option, unused.
+            incomplete: Begin of a name.
+
+        Returns:
+            Bundled networks with this begin; files if there are none.
+        """
         items = [CompletionItem(name) for name in bundled() if name.startswith(incomplete)]
         return items or [CompletionItem(incomplete, type="file")]
 
 
 class NamedWeights(Weights):
-    """The network of a row, which NAME= before it names."""
+    """Type of a network's name, before which NAME= may give a name for its row."""
 
     name = "[name=]weights"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """The name as it is, see `Weights.convert`."""
+        """Check the part after NAME=.
+
+        Args:
+            value: The text.
+            param: The option.
+            ctx: Context of the command.
+
+        Returns:
+            The text unchanged; see `Weights.convert`.
+        """
         super().convert(split_name(str(value))[1], param, ctx)
         return str(value)
 
 
 MAX_TRIAL = 10_000
 
-shown_options = together(
+prediction_options = together(
     click.option(
         "--predictions",
         type=FILE,
@@ -119,8 +147,23 @@ def chosen(
     trial: int,
     no_paths: bool,
 ) -> "tuple[Guesses | None, tuple[str, ...]]":
-    """Who predicts samples of `dataset`, and what they are called. Raises ScenegenError for
-    predictions that do not fit `split`, and for networks that are not there."""
+    """Read the options in `prediction_options`.
+
+    Args:
+        dataset: The dataset.
+        split: Its split.
+        predictions: A file or folder of predictions, or None.
+        weights: Names of networks, or NAME=WEIGHTS.
+        trial: Number of the bench's goals to which paths are planned.
+        no_paths: Whether no paths are planned.
+
+    Returns:
+        A function that predicts samples, or None without predictions and networks; and the names
+        of the methods.
+
+    Raises:
+        ScenegenError: if predictions do not fit the split, or a network is missing or damaged.
+    """
     if not weights and predictions is None:
         return None, ()
     from scenegen.model.bench.methods import check_rows, rows_of
@@ -135,7 +178,7 @@ def chosen(
 
 REPORTS = ("report.json", "report.md", "report.html")
 QUICK = {"samples": 50, "trials": 200}
-"""What `--quick` measures of every dataset."""
+"""Numbers of samples and trials of each dataset with `--quick`."""
 
 
 @command(
@@ -207,7 +250,24 @@ def bench(
     **options: Any,
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in
-    the report."""
+    the report.
+
+    \f
+    Args:
+        datasets: Datasets; empty for all in data/.
+        names: Names of methods; empty for all but `seen`.
+        weights: Names of networks, or NAME=WEIGHTS.
+        predictions: A file or folder of predictions, or None.
+        out: Folder of the report.
+        quick: Whether to measure less; see `QUICK`.
+        execute: Where samples are measured.
+        report_result: Prints the report as JSON, if asked for.
+        verbose: Whether progress is shown.
+        options: Fields of `BenchConfig` and `PlanConfig`.
+
+    Raises:
+        ScenegenError: if a dataset or a method is missing or invalid.
+    """
     from scenegen.base.executors import commit
     from scenegen.model.bench.methods import rows_of
     from scenegen.model.bench.report import build_report, to_html, to_markdown
@@ -216,16 +276,16 @@ def bench(
 
     if verbose:
         announce_compilation()
-    measured = find_datasets(datasets, shown=verbose)
+    measured = find_datasets(datasets, show_progress=verbose)
     for name in REPORTS:
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
-    plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
+    plan = PlanConfig(**{name: options.pop(name) for name in fields_in(PlanConfig, options)})
     config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
     for dataset, method in product(measured if verbose else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             info(f"note: {dataset.name}: {warning}")
-    with Progress("bench", shown=verbose) as progress:
+    with Progress("bench", visible=verbose) as progress:
         results = bench_all(
             measured,
             methods,
@@ -254,11 +314,11 @@ def bench(
 
 
 def show_tables(report: Json) -> None:
-    """Both tables: means, at the paper's thresholds."""
+    """Print both tables: means, at the paper's thresholds."""
     from scenegen.model.bench.report import notes, tables, trial_counts
     from scenegen.model.bench.statistics import threshold
 
-    for kind, about in report["datasets"].items():
+    for kind, facts in report["datasets"].items():
         for table, names, rows, _ in tables(report, kind):
             cells = {
                 method: [
@@ -268,8 +328,8 @@ def show_tables(report: Json) -> None:
                 for method, row in rows.items()
             }
             show_columns(cells, list(names), f"{kind}, {table}")
-        echo(f"{kind}: {trial_counts(about)}")
-        for line in notes(about):
+        echo(f"{kind}: {trial_counts(facts)}")
+        for line in notes(facts):
             echo(f"note: {kind}: {line}")
 
 
@@ -277,13 +337,22 @@ def show_tables(report: Json) -> None:
 @click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
 @out_option("File to write.  [default: <name>.onnx]", ".onnx")
 def export(weights: str, out: Path | None) -> None:
-    """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
+    """Write a network as ONNX, for the runtimes that are fastest on CPUs.
+
+    \f
+    Args:
+        weights: Name of the network.
+        out: The file; by default, NAME.onnx in the current folder.
+
+    Raises:
+        CheckpointError: if the network is missing or damaged, or cannot be exported.
+    """
     from scenegen.model.completion.completer import open_network
     from scenegen.model.onnx import export_onnx
 
-    network, grid, about = open_network(weights)
+    network, grid, metadata = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
-    export_onnx(network, grid, out, about=about)
+    export_onnx(network, grid, out, metadata=metadata)
     echo(f"written: {out}")
 
 
@@ -308,7 +377,22 @@ def calibrate(
     verbose: bool,
     **options: Any,
 ) -> None:
-    """Calibrate a network's probabilities; the calibration is kept in its file."""
+    """Calibrate a network's probabilities; the calibration is kept in its file.
+
+    \f
+    Args:
+        weights: Name of the network.
+        datasets: Datasets; empty for all in data/.
+        out: The file; by default that of the network. For one that is bundled or from the Hub, a
+            new one in the current folder.
+        report_result: Prints the calibration as JSON, if asked for.
+        verbose: Whether progress is shown.
+        options: `split`, `samples` and `execute`, as for `scenegen.model.bench.calibrate`.
+
+    Raises:
+        CheckpointError: if the network is missing, damaged or an ONNX file.
+        DatasetError: if a dataset is missing, or there are too few worlds.
+    """
     from scenegen.base.files import check_ours, make_parent
     from scenegen.model.bench.calibrate import calibrate as fit
     from scenegen.model.checkpoint import CheckpointError
@@ -329,11 +413,11 @@ def calibrate(
     make_parent(out)
     if verbose:
         announce_compilation()
-    folders = find_datasets(datasets, shown=verbose)
-    with Progress("calibrate", shown=verbose) as progress:
-        found = fit(
+    folders = find_datasets(datasets, show_progress=verbose)
+    with Progress("calibrate", visible=verbose) as progress:
+        calibration = fit(
             weights, folders, out, **options, on_start=progress.start, on_done=progress.count
         )
-    if report_result(asdict(found)):
-        echo(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
+    if report_result(asdict(calibration)):
+        echo(f"{calibration.worlds} worlds: temperature {calibration.temperature:.3f}")
         echo(f"written: {out}")

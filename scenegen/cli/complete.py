@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 
 COMPLETIONS = "completions.json"
-"""The file of a folder of completions that says of which scans they are, and whose."""
-MAX_SHOWN = 24
+"""File in a folder of completions that records their scans and their network."""
+MAX_LOOKS = 24
 """Completions on the page of a folder or a log, evenly spread."""
 
 
@@ -113,6 +113,26 @@ def complete(
     where there are several. Given a dataset again after a stop, it goes on where
     it was. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
+
+    \f
+    Args:
+        source: A dataset, a scan, a folder of scans, or a log.
+        weights: Name of the network.
+        split: Split of a dataset.
+        out: File or folder to write; see --out for the default.
+        device: Device of the network.
+        batch: Maps that are completed at once.
+        workers: Number of processes, with --workers or --on.
+        on: Machines that complete, with --on.
+        quiet: Whether nothing but errors is printed.
+        sensor: Position of a scan's sensor, metres.
+        every: Complete every n-th scan of a folder or a log.
+        columns: Number of columns of .bin files, or None.
+        log_reading: Options that read logs.
+
+    Raises:
+        ScenegenError: if the source or the network is missing, damaged, or does not fit, or if the
+            disk refuses.
     """
     from scenegen.dataset.collection import open_data
     from scenegen.dataset.locate import locate
@@ -129,7 +149,7 @@ def complete(
     elsewhere = was_given("on") or was_given("workers")
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
-    path = locate(source, shown=not quiet)
+    path = locate(source, show_progress=not quiet)
     check_type(path, *DATA, "log", "scans", "map", "scan")
     name = type_of(path)
     if name == "map":
@@ -143,10 +163,10 @@ def complete(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     logged = not stored and (name == "log" or log_reading["poses"] is not None)
-    if not logged and (given := [name for name, value in log_reading.items() if value]):
-        raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
+    if not logged and (unused := [name for name, value in log_reading.items() if value]):
+        raise DatasetError(f"{path}: is no log; leave out --{unused[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
-    # which may refuse what is there at once
+    # before the network is opened, since this may refuse the source at once
     tasks = tasks_of(path, sensor, every, columns, **log_reading) if several else None
     if tasks and tasks[2] and not quiet:
         info(tasks[2])
@@ -155,9 +175,9 @@ def complete(
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         options = {"sensor": sensor, "columns": columns, **log_reading}
-        about = {name: str(value) for name, value in options.items() if value is not None}
-        about |= {"source": str(real_path(path)), "weights": completer.digest}
-        claim(out, COMPLETIONS, about)
+        identity = {name: str(value) for name, value in options.items() if value is not None}
+        identity |= {"source": str(real_path(path)), "weights": completer.digest}
+        claim(out, COMPLETIONS, identity)
         complete_scans(completer, tasks[0], tasks[1], out, quiet)
         return
     out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
@@ -182,14 +202,14 @@ def _complete_split(
     execute: Executor | None,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split into the folder `out`, and say where its maps are unlike those of
-    training. Raises DatasetError where `out` is called as a file."""
+    """Complete a dataset's split into the folder `out`, and note differences from the training.
+    Raises DatasetError if `out` is the name of a file."""
     if out.suffix == ".h5":
         raise DatasetError(f"{out}: a dataset's predictions are a folder; give a name without .h5")
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
-    with Progress("complete", shown=not quiet) as progress:
+    with Progress("complete", visible=not quiet) as progress:
         away, damaged = predict_split(
             completer,
             dataset,
@@ -204,7 +224,7 @@ def _complete_split(
     for warning in () if quiet else completer.unlike(dataset.settings):
         info(f"note: {warning}")
     far = sum(share >= UNUSUAL for share in away)
-    if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
+    if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # half of this is expected
         info(
             f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
@@ -215,11 +235,20 @@ def _complete_split(
 def complete_scans(
     completer: "Completer", count: int, scans: "Iterable[Task]", out: Path, quiet: bool
 ) -> None:
-    """Complete `count` scans into files of their names in the folder `out`, and write a page of
-    some.
+    """Complete scans into files of a folder, and write a page that shows some of them.
 
-    Those that are there, as they were written, are passed over. Raises DiskError at once, and
-    DatasetError at the end where some could not be completed.
+    Intact files of an earlier run are not written again.
+
+    Args:
+        completer: The network.
+        count: Number of scans.
+        scans: The scans, each with a name and a function that reads it.
+        out: The folder; each scan becomes NAME.h5.
+        quiet: Whether nothing but errors is printed.
+
+    Raises:
+        DiskError: if the disk refuses; at once.
+        DatasetError: if scans could not be completed; after all others were.
     """
     from scenegen.model.completion.scans import (
         about_scan,
@@ -233,7 +262,7 @@ def complete_scans(
     from scenegen.view.page import page
 
     reports, completions, failed = list[Any](), list[Path](), 0
-    with Progress("complete", shown=not quiet) as progress:
+    with Progress("complete", visible=not quiet) as progress:
         progress.start(count)
         for name, read in scans:
             target = out / f"{name}.h5"
@@ -253,7 +282,7 @@ def complete_scans(
                 completions.append(target)
             progress.count(1)
     if completions:
-        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_SHOWN)]
+        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_LOOKS)]
         known = any("occupancy" in look.masks for look in looks)
         notes = ["Where the log knows nothing, predictions are not shown."] * known
         write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())

@@ -78,13 +78,13 @@ def convert(
     from scenegen.base.errors import DatasetError, plural
     from scenegen.convert.convert import convert as write
 
-    source = open_dataset(dataset, shown=not quiet)
+    source = open_dataset(dataset, show_progress=not quiet)
     # of MODULE:CLASS, the class
     target = out or Path(f"{Path(source.name).absolute().stem}-{to.rpartition(':')[2]}")
     for part in source.datasets:
         if not part.manifest.complete:
             info(f"{part.folder}: is incomplete; its samples so far are converted")
-    with Progress(to, shown=not quiet) as progress:
+    with Progress(to, visible=not quiet) as progress:
         result = write(
             source,
             target,
@@ -104,9 +104,11 @@ def convert(
         )
     if not quiet:
         remaining = (
-            f"; {result.others} are for the other ranks to write there" if result.others else ""
+            f"; {result.of_other_ranks} are for the other ranks to write there"
+            if result.of_other_ranks
+            else ""
         )
-        before = f"; an earlier run wrote {result.there}" if result.there else ""
+        before = f"; an earlier run wrote {result.existing}" if result.existing else ""
         echo(f"{target}: {plural(result.written, 'samples')} written{before}{remaining}")
 
 
@@ -149,7 +151,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         compiled = (
             read_world(Path(dataset))
             if number is None
-            else open_dataset(dataset, shown=True).compile(split, number)
+            else open_dataset(dataset, show_progress=True).compile(split, number)
         )
         write_result(out, encode_world(solid(compiled, str(dataset))))
         echo(f"written: {out}")
@@ -157,7 +159,7 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
     from scenegen.dataset.archive import DOCUMENT, write_extracted
 
     assert number is not None
-    files = open_dataset(dataset, shown=True).world(split, number)
+    files = open_dataset(dataset, show_progress=True).world(split, number)
     if out is not None:
         write_extracted(files, out)
         echo(f"written: {out}" + (f", {out.with_suffix('.files')}/" if len(files) > 1 else ""))
@@ -328,7 +330,7 @@ def ingest(
         recording.check_point_times()
     if explain:
         return
-    with Progress("ingest", shown=verbose) as progress:
+    with Progress("ingest", visible=verbose) as progress:
         progress.start(len(recording.poses))
         counts = write(recording, target, how, on_done=progress.count)
     if report_result({"folder": str(target), "read": dict(recording.about), **counts}):

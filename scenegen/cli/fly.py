@@ -20,6 +20,7 @@ from scenegen.cli.options import (
     command,
     difficulty_option,
     executing,
+    fields_in,
     group,
     lidar_option,
     noise_option,
@@ -28,7 +29,6 @@ from scenegen.cli.options import (
     printing,
     quiet_option,
     seed_option,
-    taken,
     together,
     was_given,
 )
@@ -159,7 +159,7 @@ def world(
 
     # click gives the options of both dataclasses in one dictionary
     parts: Any = (
-        kind(**{field: options.pop(field) for field in taken(kind, options)})
+        kind(**{field: options.pop(field) for field in fields_in(kind, options)})
         for kind in (Vehicle, Rules)
     )
     vehicle, rules = parts
@@ -247,7 +247,7 @@ def _fly(
         from scenegen.worlds.world import solid
 
         solid(first.drawn, first.world)
-    with Progress("fly", shown=verbose) as progress:
+    with Progress("fly", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
     crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
@@ -328,7 +328,7 @@ def replay(
     pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, track, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
-    with Progress("replay", shown=verbose) as progress:
+    with Progress("replay", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"

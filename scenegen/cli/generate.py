@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 KIND = Named(
     # mixed is not a kind, but a collection with a dataset of each
     Registry("kind", {**KINDS.builtin, "mixed": ""}),
-    others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
+    file_options={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
 """Type of --kind; files and recipes are refused with the option that takes them."""
 COUNT = click.IntRange(min=1)
@@ -256,7 +256,7 @@ def make(
     plans.open(force=force)  # refuses folders of something else before any of them is written
     summaries = []
     for plan in plans.datasets:
-        with Progress(plan.name, shown=verbose) as progress:
+        with Progress(plan.name, visible=verbose) as progress:
             summary = build(
                 plan,
                 execute=executor(on, workers),

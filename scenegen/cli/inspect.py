@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.base.files import Json, write_result
-from scenegen.base.paths import function_for, type_of
+from scenegen.base.paths import DATA, function_for, type_of
 from scenegen.cli import stops
-from scenegen.cli.bench import chosen, shown_options
+from scenegen.cli.bench import chosen, prediction_options
 from scenegen.cli.options import (
     columns_option,
     command,
@@ -40,6 +40,7 @@ from scenegen.worlds.mapping import Mapper
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
     from scenegen.view.look import Guesses
+    from scenegen.view.page import PageServer
 
 
 MAX_ON_PAGE = 200
@@ -105,8 +106,8 @@ def inspect(
         else:
             show_table(plain(facts))
         return
-    opened = open_dataset(dataset, shown=not as_json)
-    with Progress("inspect", shown=(measure_all or keep) and not as_json) as progress:
+    opened = open_dataset(dataset, show_progress=not as_json)
+    with Progress("inspect", visible=(measure_all or keep) and not as_json) as progress:
         summary = examine(
             opened,
             most=None if measure_all else MAX_MEASURED,
@@ -258,7 +259,7 @@ def _show_split(name: str, split: Json) -> None:
     help="Port to serve on; 0 for any free one.",
 )
 @quiet_option
-@shown_options
+@prediction_options
 @group("What is shown", "split index n html")
 @group("In a browser", "host port")
 def view(
@@ -273,7 +274,8 @@ def view(
     **predicting: Any,
 ) -> None:
     """Show a dataset in a browser, served from this machine. With --html, write a page with some
-    samples, or with the completion of a scan (.h5).
+    samples. Or show a scan, a folder of scans, a log, a map, a world (.xml), a mesh, a floor plan,
+    the completion of a scan (.h5), or the folder of a training run.
 
     \f
     Raises:
@@ -286,16 +288,12 @@ def view(
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    name = type_of(dataset)
-    if out is not None and name == "predictions":
-        from scenegen.view.page import page
-
-        looks = function_for(dataset, "shows")(Path(dataset))
-        write_result(out, page(looks, title=str(dataset)).encode())
-        if not quiet:
-            echo(f"{out}: open it in a browser")
+    if type_of(dataset) not in (None, *DATA):
+        if flags := flags_given(("split", "indices", "count", *predicting)):
+            raise click.UsageError(f"{flags[0]}: is for datasets; leave it out")
+        _show_path(dataset, out, host, port, quiet)
         return
-    source = open_dataset(dataset, shown=not quiet)
+    source = open_dataset(dataset, show_progress=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
     # predictions name samples by their number in one dataset
     if out is None and len(opened) > 1 and predicting["predictions"] is not None:
@@ -316,10 +314,34 @@ def view(
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
+    _serve(server, ", ".join(part.name for part in opened))
+
+
+def _show_path(path: Path | str, out: Path | None, host: str, port: int, quiet: bool) -> None:
+    """Show anything but a dataset: write its page, or serve it.
+
+    Raises:
+        ScenegenError: The path cannot be shown, or the address cannot be served on.
+    """
+    from scenegen.view.notebook import page_of
+    from scenegen.view.page import PageServer
+
+    page = page_of(str(path))
+    for line in dict.fromkeys(line for look in page.looks for line in look.missing):
+        info(line)
+    if out is None:
+        _serve(PageServer(page.html, host=host, port=port), str(path))
+        return
+    write_result(out, page.html.encode())
+    if not quiet:
+        echo(f"{out}: {len(page.html) / 1e6:.1f} MB; open it in a browser")
+
+
+def _serve(server: "PageServer", names: str) -> None:
+    """Serve a page until the user stops it; `names` says what it shows."""
     # noted: Ctrl-C ends the loop between two requests, and the server closes
     with server, stops.noted() as stopped:
-        folders = ", ".join(part.name for part in opened)
-        echo(f"{server.address}  shows {folders}; Ctrl-C ends it")
+        echo(f"{server.address}  shows {names}; Ctrl-C ends it")
         if server.on_loopback:
             bound = server.server_address[1]
             echo(

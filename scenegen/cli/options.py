@@ -295,7 +295,7 @@ def mapping_options(default: str | None = None) -> Decorator:
 
 def mapping_given(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of `mapping_options` that the user gave."""
-    return {name: value for name, value in taken(Mapper, options).items() if was_given(name)}
+    return {name: value for name, value in fields_in(Mapper, options).items() if was_given(name)}
 
 
 def options_of(
@@ -353,7 +353,7 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
     return {"type": click.IntRange(low, high), "default": default}
 
 
-def taken(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
+def fields_in(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that are fields of a dataclass.
 
     Args:
@@ -372,7 +372,7 @@ def without(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
         config: The dataclass.
         options: Values by name.
     """
-    return {name: options[name] for name in options.keys() - taken(config, options)}
+    return {name: options[name] for name in options.keys() - fields_in(config, options)}
 
 
 def was_given(name: str) -> bool:
@@ -392,12 +392,12 @@ def flags_given(names: Collection[str]) -> list[str]:
     ]
 
 
-def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "AnyDataset":
+def open_dataset(dataset: Path | str, *, show_progress: bool, partial: bool = True) -> "AnyDataset":
     """Open a dataset, collection or selection, and download it if needed.
 
     Args:
         dataset: Path or name.
-        shown: Whether a download shows a bar.
+        show_progress: Whether a download shows a bar.
         partial: Whether an incomplete dataset is allowed.
 
     Raises:
@@ -405,15 +405,17 @@ def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "
     """
     from scenegen.dataset.collection import open_data
 
-    return open_data(dataset, partial=partial, shown=shown)
+    return open_data(dataset, partial=partial, show_progress=show_progress)
 
 
-def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[AnyDataset, ...]":
+def find_datasets(
+    datasets: tuple[Path | str, ...], *, show_progress: bool
+) -> "tuple[AnyDataset, ...]":
     """Open datasets, by default those under data/ that have samples.
 
     Args:
         datasets: Paths or names.
-        shown: Whether a download shows a bar, and empty datasets a note.
+        show_progress: Whether a download shows a bar, and empty datasets a note.
 
     Raises:
         UsageError: No dataset is given, and data/ has none.
@@ -422,13 +424,13 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> "tuple[An
     from scenegen.cli.show import info
     from scenegen.dataset.collection import open_data
 
-    opened = [open_data(dataset, shown=shown) for dataset in datasets]
+    opened = [open_data(dataset, show_progress=show_progress) for dataset in datasets]
     # datasets found here may be empty, and are left out; an incomplete one is refused, as usual
     for path in () if opened else sorted(Path("data").glob("*/dataset.json")):
         candidate = open_data(path.parent, partial=True)
         if any(len(candidate.split(split)) for split in SPLITS):
             opened.append(open_data(path.parent))
-        elif shown:
+        elif show_progress:
             info(f"{path.parent}: holds no samples yet, so it is left out")
     if not opened:
         raise click.UsageError(

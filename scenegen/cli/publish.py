@@ -87,14 +87,14 @@ def publish(
     check_type(dataset, "dataset")  # selections and collections have no folder to publish
     check_together(options["execute"], "publish takes")
     request = Request(
-        dataset=locate(dataset, shown=verbose, whole=True),
+        dataset=locate(dataset, show_progress=verbose, whole=True),
         repository=repo,
         out=out or Path("publish") / repo.rpartition("/")[2],
         tag=tag,
         licence=licence,
         kind=kind,
     )
-    with Progress("verify", shown=verbose) as progress:
+    with Progress("verify", visible=verbose) as progress:
 
         def report(staged: Any) -> None:
             progress.stop()  # the Hub's client has its own bar
@@ -106,7 +106,7 @@ def publish(
 
         staged, commit = run_publish(
             request,
-            shown=verbose,
+            show_progress=verbose,
             on_start=progress.start,
             on_done=progress.count,
             on_staged=report,

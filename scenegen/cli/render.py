@@ -7,7 +7,7 @@ import rich_click as click
 
 from lidarsim.parameters import Bounds, short_repr
 from scenegen.base.paths import DATA, function_for, type_of
-from scenegen.cli.bench import chosen, shown_options
+from scenegen.cli.bench import chosen, prediction_options
 from scenegen.cli.options import (
     columns_option,
     command,
@@ -97,7 +97,7 @@ def _width(text: str) -> float:
 @seed_option("Seed of the flight.")
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
-@shown_options
+@prediction_options
 @group("What is drawn", "split index sheet figure turn flight columns")
 @group("For print", "paper font-size")
 def render(
@@ -185,7 +185,7 @@ def _draw_samples(
     from scenegen.view.panels import plain
     from scenegen.view.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
-    dataset = open_dataset(source, shown=progress)
+    dataset = open_dataset(source, show_progress=progress)
     # figures without predictions load no network
     bare = figure in ("sample", "world") or film
     guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)

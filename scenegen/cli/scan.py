@@ -254,7 +254,7 @@ def _write_log(
         moving=moving,
         corrected=corrected,
     )
-    with Progress("scan", shown=verbose) as progress:
+    with Progress("scan", visible=verbose) as progress:
         progress.start(len(poses))
         counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))

@@ -178,14 +178,14 @@ class Progress:
     """A progress bar with rate and time left. It runs a thread, so start it after workers are
     forked."""
 
-    def __init__(self, label: str, *, shown: bool):
+    def __init__(self, label: str, *, visible: bool):
         """Prepare a bar.
 
         Args:
             label: Text before the bar.
-            shown: Whether anything is shown.
+            visible: Whether the bar is shown.
         """
-        self._label, self._shown, self._done = label, shown, 0
+        self._label, self._visible, self._done = label, visible, 0
         self._bar: Any = None
         self._begun = ExitStack()
 
@@ -201,17 +201,17 @@ class Progress:
         """Show a bar of `total` samples; those counted before the first bar are done."""
         self.restart(self._label, total, 0 if self._bar is not None else self._done)
 
-    def restart(self, label: str, total: int, done: int) -> None:
+    def restart(self, label: str, total: int, finished: int) -> None:
         """Show a new bar.
 
         Args:
             label: Text before the bar.
             total: Number of samples.
-            done: Number of samples that are done already.
+            finished: Number of samples that are done already.
         """
         self.stop()
-        self._label, self._done = label, done
-        if not self._shown:
+        self._label, self._done = label, finished
+        if not self._visible:
             return
         # slow to import, and not needed with --quiet or --json
         from rich import progress
@@ -227,8 +227,8 @@ class Progress:
             console=Console(stderr=True, force_terminal=sys.stderr.isatty()),
         )
         # the rate counts only what this run did
-        self._begin, self._at_begin = time.perf_counter(), done
-        self._task = self._bar.add_task(escaped(label), total=total, completed=done, rate="")
+        self._begin, self._at_begin = time.perf_counter(), finished
+        self._task = self._bar.add_task(escaped(label), total=total, completed=finished, rate="")
         self._bar.start()
 
     def stop(self) -> None:

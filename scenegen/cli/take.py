@@ -82,7 +82,7 @@ def take(
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
     # of an incomplete dataset, later samples would be missing without a word
-    source = open_dataset(dataset, shown=verbose, partial=False)
+    source = open_dataset(dataset, show_progress=verbose, partial=False)
     numbers = choose(source, choice, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}
     if not sum(counts.values()):

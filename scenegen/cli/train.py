@@ -17,12 +17,12 @@ from scenegen.cli.bench import Weights
 from scenegen.cli.options import (
     command,
     device_option,
+    fields_in,
     find_datasets,
     group,
     options_of,
     out_option,
     printing,
-    taken,
     was_given,
 )
 from scenegen.cli.show import Progress, Reporter, curve, echo
@@ -47,14 +47,18 @@ if TYPE_CHECKING:
 
 
 MAX_LOADERS = 8
-"""Loader processes that are begun unasked, where there is a GPU to feed."""
+"""Default of `--workers` on a GPU, at most."""
 VAL_MAPS = 500
-"""Maps of a stream's own validation split, where no dataset is named."""
+"""Default of `--val-maps`: maps of a stream's validation split, if no dataset is named."""
 
 
 class Weighted(click.ParamType):
-    """What is trained on, with its weight: NAME, or NAME=WEIGHT, a name of the type `of`; `unsaid`
-    is the weight of what is given without."""
+    """Type of a source of samples with a weight: NAME or NAME=WEIGHT.
+
+    Args:
+        of: Type of the name.
+        unsaid: Weight of a name without one.
+    """
 
     name = "name[=weight]"
 
@@ -62,7 +66,16 @@ class Weighted(click.ParamType):
         self.of, self.unsaid = of, unsaid
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, float | None]:
-        """(name, weight); who takes them says what is wrong with either."""
+        """Split a text. A name that exists as a path is not split.
+
+        Args:
+            value: The text, or a pair from an earlier conversion.
+            param: The option.
+            ctx: Context of the command.
+
+        Returns:
+            Name and weight. The weight's bounds are checked when samples are opened.
+        """
         if isinstance(value, tuple):
             return value
         name, sign, weight = value.rpartition("=")
@@ -74,7 +87,13 @@ class Weighted(click.ParamType):
             self.fail(f"{value!r}: expected NAME or NAME=WEIGHT, such as pillar=2", param, ctx)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[Any]:
-        """As the name's type does."""
+        """Complete a name as its type does.
+
+        Args:
+            ctx: Context of the command.
+            param: The option.
+            incomplete: Begin of a name.
+        """
         return self.of.shell_complete(ctx, param, incomplete)
 
 
@@ -210,12 +229,32 @@ def train(
 
     Maps of datasets with weights come in proportion to these, however many each holds. Given again
     after a stop, it goes on where it was. With --stream, datasets serve validation alone.
+
+    \f
+    Args:
+        datasets: Datasets with weights; empty for all in data/.
+        streams: Kinds or recipes with weights.
+        stream_seed: Seed of the streams.
+        val_maps: Maps of the streams for validation, or None.
+        protocol: Name of a set of defaults, see `PROTOCOLS`.
+        weights: Name of a network to begin with, or None.
+        out: Folder of the run; by default runs/VARIANT.
+        device: Device of the network.
+        workers: Processes that read samples; None for the default.
+        report_result: Prints a summary as JSON, if asked for.
+        verbose: Whether progress is shown.
+        options: Fields of `TrainConfig`, `NetworkConfig` and `LossConfig`.
+
+    Raises:
+        UsageError: if options contradict each other.
+        ScenegenError: as of `scenegen.model.training.loop.train`.
     """
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
     from scenegen.model.training.run_folder import RunFolder
 
+    # of the processes of torchrun, the first prints
     first = int(os.environ.get("RANK", "0")) == 0
     verbose = first and verbose
     if weights is not None:
@@ -228,17 +267,17 @@ def train(
     out = out or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
-    with Progress(config.network.variant, shown=verbose) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, streams, stream_seed, val_maps, verbose)
+    with Progress(config.network.variant, visible=verbose) as progress, stops.noted() as stop:
+        training, validation = _samples(datasets, streams, stream_seed, val_maps, verbose)
         chosen = choose_device(device)
         if workers is None:
             workers = (
                 0 if chosen.type == "cpu" else min(MAX_LOADERS, 1 << (cores().bit_length() - 1))
             )
-        shown = _Shown(config.network.variant, progress, verbose)
+        display = _Display(config.network.variant, progress, verbose)
         rows = run(
             training,
-            checking,
+            validation,
             config,
             out,
             device=str(chosen),
@@ -246,7 +285,10 @@ def train(
             command=shlex.join(["scenegen", *sys.argv[1:]]),
             weights=weights,
             watcher=Watcher(
-                on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop
+                on_start=display.on_start,
+                on_step=display.on_step,
+                on_epoch=display.on_epoch,
+                stop=stop,
             ),
         )
     best = RunFolder(out).best() or rows[-1]
@@ -254,7 +296,7 @@ def train(
     summary = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
     if not (first and report_result(summary)):
         return
-    if not shown.begun:
+    if not display.begun:
         echo(f"{out}: this run is complete already; give another --out for another one")
     curves = {"loss": "val_loss", "IoU": "val_iou", "IoU, best threshold": "val_best_iou"}
     for name, column in curves.items() if len(rows) > 1 else ():
@@ -274,8 +316,8 @@ def _samples(
     count: int | None,
     verbose: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
-    """What is trained on, and what validates: `datasets`, or `streams` of a `seed`, and `count`
-    maps of theirs."""
+    """Return samples for training and validation: of datasets, or of streams with a seed. `count`
+    is the number of a stream's maps for validation."""
     from scenegen.model.training.data import opened
     from scenegen.streams.stream import stream
 
@@ -285,7 +327,7 @@ def _samples(
             raise click.UsageError(
                 "--stream-seed and --val-maps are a stream's; name one, such as --stream pillar"
             )
-        folders = find_datasets(names, shown=verbose)
+        folders = find_datasets(names, show_progress=verbose)
         weights = [weight for _, weight in datasets] or [None] * len(folders)
         return opened(list(zip(folders, weights, strict=True)), "train"), opened(folders, "val")
     if datasets and count is not None:
@@ -298,52 +340,68 @@ def _samples(
             raise click.UsageError(
                 "with --stream, datasets validate, and have no weights; give those of --stream"
             )
-        return training, opened(find_datasets(names, shown=verbose), "val")
+        return training, opened(find_datasets(names, show_progress=verbose), "val")
     return training, [stream(streams, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
 def _take_settings(weights: str, options: dict[str, Any]) -> None:
-    """Let the network called `weights` stand for the options of one, which must not be given, too,
-    and its loss, where it says what it learned by, for those of the loss that are not given."""
+    """Add the settings of the network called `weights` to `options`. Its loss, if the file records
+    it, replaces the defaults of options of the loss. Options of a network must not be given."""
     from scenegen.model.checkpoint import check_own
     from scenegen.model.completion.completer import open_network
 
-    if conflicts := [name for name in taken(NetworkConfig, options) if was_given(name)]:
+    if conflicts := [name for name in fields_in(NetworkConfig, options) if was_given(name)]:
         raise click.UsageError(
             f"--weights brings its network; leave out what else says of one: {', '.join(conflicts)}"
         )
-    network, _, about = open_network(weights)
+    network, _, metadata = open_network(weights)
     try:
-        known_terms = taken(LossConfig, about["settings"]["loss"])  # other versions may have others
+        known_terms = fields_in(
+            LossConfig, metadata["settings"]["loss"]
+        )  # other versions may have others
         loss = vars(LossConfig(**known_terms))
-    except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
+    except (KeyError, TypeError, ValueError):  # written by another program, without a loss
         loss = {}
     loss = {
         name: value for name, value in loss.items() if name not in options or not was_given(name)
     }
-    own, plain = split_own(weights)
-    check_own(plain, own, loss.get("objective", ""))
+    trusted, plain = split_own(weights)
+    check_own(plain, trusted, loss.get("objective", ""))
     options |= vars(network.config) | loss
 
 
-class _Shown:
-    """What a run shows of itself: the loss of the last steps, the rate, the time left, and a line
-    an epoch."""
+class _Display:
+    """Progress of a run: the mean loss of the last steps, rate, time left, and a line per epoch."""
 
     def __init__(self, variant: str, progress: Progress, verbose: bool):
         self._variant, self._progress, self._talk = variant, progress, verbose
         self._recent, self._iou, self.begun = 0.0, "", False
 
-    def on_start(self, epoch: int, total: int, done: int) -> None:
+    def on_start(self, epoch: int, total: int, finished: int) -> None:
+        """Begin a bar.
+
+        Args:
+            epoch: Number of the epoch, from 0.
+            total: Number of its maps.
+            finished: Number of maps that are done already.
+        """
         self.begun = True
-        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, done)
+        self._progress.restart(f"{self._variant}, epoch {epoch + 1}", total, finished)
 
     def on_step(self, maps: int, loss: float) -> None:
+        """Count a step.
+
+        Args:
+            maps: Number of its maps.
+            loss: Its loss.
+        """
+        # an exponential mean over about fifty steps
         self._recent = loss if self._recent == 0.0 else 0.98 * self._recent + 0.02 * loss
         self._progress.count(maps)
         self._progress.info(f"loss {self._recent:.4f}{self._iou}")
 
     def on_epoch(self, row: "Scalars") -> None:
+        """Print the figures of an epoch."""
         self._iou = f", validation {_ious(row)}"
         if self._talk:
             loss, seconds = row["train_loss"], row["seconds"]

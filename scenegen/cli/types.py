@@ -56,14 +56,14 @@ class Named(Written):
     Args:
         registry: Registry of the names.
         file: Suffix of files that may be given, too.
-        others: Option that takes a file, by the file's suffix.
+        file_options: Option that takes a file, by the file's suffix.
         address: Whether an address may follow, as in ray://host:10001.
         paths: Whether paths may be given: texts that exist as one, or are not a plain word.
     """
 
     registry: Registry
     file: str | None = None
-    others: Mapping[str, str] = field(default_factory=dict)
+    file_options: Mapping[str, str] = field(default_factory=dict)
     address: bool = False
     paths: bool = False
 
@@ -79,7 +79,7 @@ class Named(Written):
         path = self.paths and (Path(text).exists() or not text.isidentifier())
         if path or (self.file is not None and text.endswith(self.file)):
             return text
-        if option := self.others.get(Path(text).suffix):
+        if option := self.file_options.get(Path(text).suffix):
             raise ValueError(f"{text} is a file; give it as {option} {text}")
         name = text.partition("://")[0] if self.address else text
         # module:Object is not imported here: only its use shows whether it exists

@@ -59,7 +59,7 @@ def verify(dataset: Path | str, report_result: Reporter, verbose: bool, **option
     from scenegen.verification import verify as prove
 
     begin = time.perf_counter()
-    with Progress("verify", shown=verbose) as progress:
+    with Progress("verify", visible=verbose) as progress:
         report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
     seconds = time.perf_counter() - begin
     if report_result({**report.to_json(), "seconds": seconds}):

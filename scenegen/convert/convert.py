@@ -30,9 +30,9 @@ class Converted:
 
     written: int
     """Samples that this run wrote."""
-    there: int
+    existing: int
     """Samples that an earlier run wrote."""
-    others: int
+    of_other_ranks: int
     """Samples that other ranks write."""
     broken: tuple[str, ...]
     """A line for each sample that could not be read."""

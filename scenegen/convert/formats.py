@@ -102,7 +102,7 @@ class Classed(OneEach):
     """Number of voxels that are not occupied."""
     unlabelled: int
     """Number of occupied voxels of a dataset without labels."""
-    other: int
+    fallback: int
     """Number of a class whose name is not in `numbers`."""
 
     def semantics(self, sample: Sample) -> Ints:
@@ -110,7 +110,7 @@ class Classed(OneEach):
         if not self.classes:
             return np.where(sample.occupancy, self.unlabelled, self.empty)
         _, *classes = self.classes  # the first is of voxels that are not occupied
-        numbers = [self.empty, *(self.numbers.get(name, self.other) for name in classes)]
+        numbers = [self.empty, *(self.numbers.get(name, self.fallback) for name in classes)]
         return np.array(numbers)[sample.voxel_class]
 
     def notes(self) -> list[str]:
@@ -118,7 +118,7 @@ class Classed(OneEach):
         names = [name for name in self.classes[1:] if name not in self.numbers]
         suffix = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
         listed = f"{', '.join(names[:MAX_LISTED])}{suffix}"
-        return [f"classes that the format lacks become {self.other}: {listed}"] if names else []
+        return [f"classes that the format lacks become {self.fallback}: {listed}"] if names else []
 
 
 class Together(OneEach):
@@ -237,7 +237,7 @@ class SemanticKitti(Classed):
 
     def __init__(self, choices: Choices):
         super().__init__(choices)
-        self.unlabelled = self.other = choices.label
+        self.unlabelled = self.fallback = choices.label
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
         """Return the paths of a sample's four files in the folder.
@@ -281,7 +281,7 @@ class Occ3d(Classed):
 
     place, suffix = "gts/{split}/{number:06d}/labels", ".npz"
     numbers, empty = OCC3D, 17
-    unlabelled, other = OCC3D["manmade"], OCC3D["others"]
+    unlabelled, fallback = OCC3D["manmade"], OCC3D["others"]
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """Return the content of a sample's file.

@@ -72,7 +72,7 @@ class Collection(AnyDataset):
         pieces, first_world = list[Piece](), 0
         for n, dataset in enumerate(self.datasets):
             numbers = self.chosen[n].get(split, ()) if n in self.chosen else None
-            pieces += dataset.split(split).taken(numbers, first_world)
+            pieces += dataset.split(split).pieces_of(numbers, first_world)
             # worlds of later datasets are numbered on, so that numbers stay unique
             first_world += _worlds(dataset, split)
         return pieces
@@ -203,7 +203,7 @@ def open_data(
     *,
     partial: bool = False,
     checked: bool = False,
-    shown: bool = False,
+    show_progress: bool = False,
 ) -> AnyDataset:
     """Open a dataset, a collection or a selection.
 
@@ -212,7 +212,7 @@ def open_data(
             ``s3://bucket/folder``; or a list of these, which are read as one.
         partial: Whether incomplete datasets are accepted.
         checked: Whether everything that is read is compared with its digest.
-        shown: Whether a download shows its progress.
+        show_progress: Whether a download shows its progress.
 
     Raises:
         DatasetError: if there is no such dataset, it is damaged, or datasets cannot be read
@@ -221,10 +221,13 @@ def open_data(
     if isinstance(names, AnyDataset):
         return names
     if not isinstance(names, str | PurePath):
-        opened = [open_data(name, partial=partial, checked=checked, shown=shown) for name in names]
+        opened = [
+            open_data(name, partial=partial, checked=checked, show_progress=show_progress)
+            for name in names
+        ]
         return opened[0] if len(opened) == 1 else _joined(opened)
     check_type(names, *DATA)
-    folder = locate(names, shown=shown)
+    folder = locate(names, show_progress=show_progress)
     if folder.is_file():
         return _selection(folder, partial=partial, checked=checked)
     if (folder / NAME).exists() or is_remote(names):

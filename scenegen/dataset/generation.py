@@ -205,7 +205,7 @@ def plan_generation(
         numbers = None
         # without numbers, those of the original are kept
         if (n, val, test) != (None, None, None):
-            numbers = _counts(2500 if n is None else n, val, test, alone=False)
+            numbers = _counts(2500 if n is None else n, val, test, single_world=False)
         return _plan_like(like, out, kind, sensing, engine, numbers, compact=compact)
     storage["engine"] = engine or DEFAULT
     preset_options: Json = sensing | {"difficulty": difficulty}
@@ -228,7 +228,7 @@ def plan_generation(
             (_with_parts(part_recipe, parts, DrawnWorlds(part_recipe)), weight)
             for part_recipe, weight in read_components(recipe_file, seed=seed, **preset_options)
         ]
-        counts = _counts(number, val, test, alone=False)
+        counts = _counts(number, val, test, single_world=False)
         folder = _folder(out, MIXED)
         return plan_mixed(folder, components, seed=seed, counts=counts, **storage)
     elif recipe_file is not None:
@@ -266,7 +266,7 @@ def plan_generation(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
             f"--{', --'.join(base_recipe.parts)}"
         )
-    counts = _counts(number, val, test, alone=single_world)
+    counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)
     return Plans(folder=folder, datasets=(plan,))
@@ -305,11 +305,14 @@ def _plan_like(
     return Plans(folder=folder, datasets=(plan,))
 
 
-def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
+def _counts(n: int, val: int | None, test: int | None, *, single_world: bool) -> dict[str, int]:
     """Number of samples of each split. All samples of a single world are for training by default.
     Raises DatasetError for numbers out of range."""
     n = check_int("--n", n, 0, MAX_SAMPLES)
-    usual = {"val": 0 if alone else max(n // 10, 1), "test": 0 if alone else max(n // 5, 1)}
+    usual = {
+        "val": 0 if single_world else max(n // 10, 1),
+        "test": 0 if single_world else max(n // 5, 1),
+    }
     return {"train": n} | {
         split: usual[split] if count is None else check_int(f"--{split}", count, 0, MAX_SAMPLES)
         for split, count in (("val", val), ("test", test))

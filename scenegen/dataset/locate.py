@@ -57,7 +57,9 @@ def parse(name: str) -> tuple[str, str | None]:
     return repository, revision or None
 
 
-def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = False) -> Path:
+def locate(
+    name: str | os.PathLike[str], *, show_progress: bool = False, whole: bool = False
+) -> Path:
     """Find the local folder of a dataset. Paths are returned unchanged.
 
     ``hf://…`` is downloaded; see `download`. Of a store, only the manifest is fetched into a mirror
@@ -65,7 +67,7 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
 
     Args:
         name: A path or a URL.
-        shown: Whether a download shows its progress.
+        show_progress: Whether a download shows its progress.
         whole: Whether all files of a store are fetched now.
 
     Raises:
@@ -75,7 +77,7 @@ def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = F
     if not is_remote(name):
         return Path(name)
     if str(name).startswith(SCHEME):
-        folder = download(str(name), shown=shown)
+        folder = download(str(name), show_progress=show_progress)
         commit = f"{SCHEME}{parse(str(name))[0]}@{folder.name}"
         LOCATED[folder] = locate_again, commit, folder.name
         return folder
@@ -115,7 +117,7 @@ def locate_again(name: str, folder: str) -> Path:
     return located
 
 
-def download(name: str, *, shown: bool) -> Path:
+def download(name: str, *, show_progress: bool) -> Path:
     """Download a dataset from the Hub into the client's cache.
 
     Only files in the manifest are downloaded. They are compared with its SHA-256 sums at every
@@ -123,7 +125,7 @@ def download(name: str, *, shown: bool) -> Path:
 
     Args:
         name: The URL.
-        shown: Whether the client shows its progress.
+        show_progress: Whether the client shows its progress.
 
     Returns:
         The folder of the revision.
@@ -145,7 +147,7 @@ def download(name: str, *, shown: bool) -> Path:
         )
 
     try:
-        with client_output(shown):
+        with client_output(show_progress):
             _check_listing(repository, revision)
             folder = fetch(revision, NAME)
             # parsing checks the names of files, before they are used as paths
@@ -165,7 +167,7 @@ def download(name: str, *, shown: bool) -> Path:
 
 
 @contextlib.contextmanager
-def client_output(shown: bool) -> Iterator[None]:
+def client_output(show_progress: bool) -> Iterator[None]:
     """Show or hide the progress of the Hub's client. Its advice is always hidden."""
     from huggingface_hub.utils import logging
     from huggingface_hub.utils.tqdm import (
@@ -175,7 +177,7 @@ def client_output(shown: bool) -> Iterator[None]:
     )
 
     # the user's own settings of the client are restored afterwards
-    verbosity, keep_bars = logging.get_verbosity(), shown or are_progress_bars_disabled()
+    verbosity, keep_bars = logging.get_verbosity(), show_progress or are_progress_bars_disabled()
     logging.set_verbosity_error()
     if not keep_bars:
         disable_progress_bars()

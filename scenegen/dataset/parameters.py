@@ -66,13 +66,13 @@ def configured(config: Any, table: Any, where: str) -> Any:
 
 
 def differences(
-    stored: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
+    stored: Json, current: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
 ) -> list[str]:
     """Compare two sets of parameters.
 
     Args:
         stored: The first set.
-        asked: The second set.
+        current: The second set.
         words: Words for the two sets in the messages.
         prefix: Text before every name.
 
@@ -81,8 +81,8 @@ def differences(
             items of a list of tables are named by their positions.
     """
     lines = []
-    for name in [*stored, *(name for name in asked if name not in stored)]:
-        old, new = (_numbered(table.get(name, "absent")) for table in (stored, asked))
+    for name in [*stored, *(name for name in current if name not in stored)]:
+        old, new = (_numbered(table.get(name, "absent")) for table in (stored, current))
         if isinstance(old, dict) and isinstance(new, dict):
             lines += differences(old, new, words, f"{prefix}{name}.")
         elif old != new:

@@ -397,7 +397,7 @@ class Split(Samples):
         """Number of a piece's first sample."""
         return int(self._start[number])
 
-    def taken(self, numbers: Sequence[int] | None, first_world: int = 0) -> list[Piece]:
+    def pieces_of(self, numbers: Sequence[int] | None, first_world: int = 0) -> list[Piece]:
         """Restrict the split to some samples.
 
         Args:

@@ -335,7 +335,7 @@ def encode_selection(
     """
     chosen: dict[Path, dict[str, list[int]]] = {member.folder: {} for member in dataset.datasets}
     for name, split_numbers in numbers.items():
-        for piece in (split := dataset.split(name)).taken(split_numbers.tolist()):
+        for piece in (split := dataset.split(name)).pieces_of(split_numbers.tolist()):
             local_numbers = own_numbers(piece).tolist()
             chosen[piece.dataset.folder].setdefault(split.name, []).extend(local_numbers)
     datasets = [

@@ -96,7 +96,7 @@ class State:
         return self._listed is not None
 
     @property
-    def done(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether every shard is known, and the manifest says so."""
         is_complete = len(self.reports) == len(self.plan.shards)
         return is_complete and self._content == manifest.encode(self.current())
@@ -160,9 +160,9 @@ class State:
         if grows:
             return {entry.file: entry for entry in existing.shards}
         if not self._force and any(map(SHARD_FILE.fullmatch, names)):
-            rest = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
+            unlisted = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
-                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{rest}; choose "
+                f"{folder}: holds another dataset: {'; '.join(differing[:3])}{unlisted}; choose "
                 "another folder with --out, or replace it with --force"
             )
         return None
@@ -208,7 +208,7 @@ class State:
 
         Raises DatasetError if another file has the name of a planned one.
         """
-        if not self.done:
+        if not self.is_complete:
             self._begin()
         write_rays(self.plan.manifest.recipe.lidar, self.plan.folder)
 
@@ -274,7 +274,7 @@ class State:
         shards; other jobs only list their own, and check again after writing. If a complete
         manifest already lists all shards of this job, nothing is written.
         """
-        if self.done:
+        if self.is_complete:
             self._remove_notes()
             return self.current()
         while True:
@@ -297,15 +297,15 @@ class State:
         """Parse a manifest. Returns it if it is this dataset's, complete, and consistent with the
         known shards."""
         with contextlib.suppress(DatasetError):
-            other = manifest.parse(content)
-            listed = {entry.file: entry for entry in other.shards}
+            stored = manifest.parse(content)
+            listed = {entry.file: entry for entry in stored.shards}
             known = (report.entry for report in self.reports.values())
             if (
-                other.complete
-                and other.parameters == self.plan.manifest.parameters
+                stored.complete
+                and stored.parameters == self.plan.manifest.parameters
                 and all(listed.get(entry.file) == entry for entry in known)
             ):
-                return other
+                return stored
         return None
 
     def absent(self) -> list[ShardSpec]:

@@ -133,10 +133,10 @@ def draw_unit(
     # advice on the most common reason comes first
     advice = "; ".join(ADVICE[reason] for reason, _ in rejected["worlds"].most_common())
     crowded = () if recipe.world is None else recipe.world.crowded_by
-    fewer, more = _turned(crowded, "lower", "raise"), _turned(crowded, "raise", "lower")
+    for_fewer, for_more = _turned(crowded, "lower", "raise"), _turned(crowded, "raise", "lower")
     raise GenerationError(
         f"{split} world {number}: all {recipe.accept.max_draws} draws rejected ({counted}); "
-        f"{advice.format(fewer=fewer, more=more)}"
+        f"{advice.format(fewer=for_fewer, more=for_more)}"
     )
 
 

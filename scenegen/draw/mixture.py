@@ -29,7 +29,7 @@ def is_mixed(path: Path) -> bool:
     return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
 
 
-def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) -> list[Component]:
+def read_components(path: Path | None = None, *, seed: int = 0, **settings: Any) -> list[Component]:
     """Read the components of a mixture.
 
     Args:
@@ -40,7 +40,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             ``[domain] draws`` is the number of draws of each combination. Without a file, or
             without components, every kind of scenegen has the same weight.
         seed: Seed of values that are drawn from intervals.
-        given: Settings common to all components, as for `scenegen.preset`.
+        settings: Settings common to all components, as for `scenegen.preset`.
 
     Raises:
         RecipeError: if a component is invalid, or only some have weights.
@@ -75,7 +75,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
         drawn = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in drawn:
             _check_domain(tables, values, at)
-            recipe = make_recipe(kind, _over(tables, values), where=at, folder=folder, **given)
+            recipe = make_recipe(kind, _over(tables, values), where=at, folder=folder, **settings)
             components.append((recipe, share / len(drawn)))
     return components
 

@@ -256,19 +256,19 @@ def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -
     writer.finish()
 
 
-def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[str, Any]:
+def points_message(points: Floats, header: Any, **further: NDArray[Any]) -> dict[str, Any]:
     """Make the fields of a PointCloud2.
 
     Args:
         points: (n, 3), metres; written as float32.
         header: The message's header.
-        more: Further fields of each point, (n,), of the types in `POINT_TYPES`.
+        further: Further fields of each point, (n,), of the types in `POINT_TYPES`.
 
     Returns:
         The message's fields by name; points are packed, without gaps.
     """
     # little-endian in the message, whatever this machine has
-    columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
+    columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **further)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.rec.fromarrays([*columns.values()], dtype)
     fields = [

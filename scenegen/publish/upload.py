@@ -41,7 +41,7 @@ def check_token() -> None:
         raise PublishError(TOKEN)
 
 
-def upload(staged: Staged, *, private: bool, shown: bool) -> str:
+def upload(staged: Staged, *, private: bool, show_progress: bool) -> str:
     """Send a folder to the Hub.
 
     Called again after an interruption, it sends only the files that the Hub lacks. A tag that
@@ -50,7 +50,7 @@ def upload(staged: Staged, *, private: bool, shown: bool) -> str:
     Args:
         staged: The folder.
         private: Whether a new repository is private.
-        shown: Whether the Hub's client shows its progress.
+        show_progress: Whether the Hub's client shows its progress.
 
     Returns:
         The commit that the tag names.
@@ -62,7 +62,7 @@ def upload(staged: Staged, *, private: bool, shown: bool) -> str:
 
     api = HfApi(library_name="scenegen", library_version=__version__)
     try:
-        with client_output(shown):
+        with client_output(show_progress):
             return _send(api, staged, private)
     except ScenegenError:
         raise
@@ -167,7 +167,7 @@ def publish(
     *,
     dry_run: bool = False,
     private: bool = False,
-    shown: bool = False,
+    show_progress: bool = False,
     on_staged: Callable[[Staged], None] = lambda staged: None,
     **checking: Any,
 ) -> tuple[Staged, str | None]:
@@ -178,7 +178,7 @@ def publish(
         request: The request.
         dry_run: Only make the folder.
         private: Whether a new repository is private.
-        shown: Whether the Hub's client shows its progress.
+        show_progress: Whether the Hub's client shows its progress.
         on_staged: Called with the folder before it is sent.
         checking: Further arguments of `scenegen.verify`.
 
@@ -209,4 +209,4 @@ def publish(
         ),
     )
     on_staged(staged)
-    return staged, None if dry_run else upload(staged, private=private, shown=shown)
+    return staged, None if dry_run else upload(staged, private=private, show_progress=show_progress)

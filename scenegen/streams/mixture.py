@@ -230,11 +230,11 @@ class Component(Units):
         return sha256_of(json.dumps(self.described(), sort_keys=True).encode())
 
 
-def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
+def component_of(entry: Any, *, seed: int, split: str, engine: str) -> Component:
     """Make a component.
 
     Args:
-        what: Name of a kind, or ``module:Class`` of a user's own; a recipe or its TOML file; an
+        entry: Name of a kind, or ``module:Class`` of a user's own; a recipe or its TOML file; an
             MJCF file or a folder of them, divided among the splits as `generate` does; a Component
             is returned unchanged.
         seed: Seed of the component.
@@ -242,21 +242,21 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         engine: Name of the engine that casts rays.
 
     Raises:
-        RecipeError: if `what` is none of these, or the recipe is invalid.
+        RecipeError: if `entry` is none of these, or the recipe is invalid.
         SceneError: if a file cannot be used as a world.
         DatasetError: if there is no such split or engine.
     """
-    if isinstance(what, Component):
-        return what
+    if isinstance(entry, Component):
+        return entry
     source: SceneWorlds | None = None
-    if isinstance(what, Recipe):
-        label, recipe = graded(what.kind, what.difficulty), what
-    elif isinstance(what, str | Path):
-        label, path = str(what), Path(what)
-        is_file = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
-        is_own = isinstance(what, str) and ":" in what and not path.exists()
+    if isinstance(entry, Recipe):
+        label, recipe = graded(entry.kind, entry.difficulty), entry
+    elif isinstance(entry, str | Path):
+        label, path = str(entry), Path(entry)
+        is_file = isinstance(entry, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
+        is_own = isinstance(entry, str) and ":" in entry and not path.exists()
         # a kind takes precedence over a file of the same name
-        if what in KINDS.builtin or is_own or not is_file:
+        if entry in KINDS.builtin or is_own or not is_file:
             recipe = preset(label)
         elif path.suffix == ".toml":
             recipe = read_recipe(path)
@@ -265,7 +265,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
             recipe = source.suited(preset("scene"))
     else:
         raise RecipeError(
-            f"stream of {short_repr(what)}: expected a kind's name, a recipe or its file, an "
+            f"stream of {short_repr(entry)}: expected a kind's name, a recipe or its file, an "
             "MJCF file "
             f"or a folder of them"
         )

@@ -211,11 +211,11 @@ class Place:
     Args:
         of: Identity of what is read, which a state must match.
         unit: Name of the count: "samples" or "batches".
-        most: Maximum of the count.
+        maximum: Maximum of the count.
     """
 
-    def __init__(self, of: Json, unit: str, most: int):
-        self._of, self._unit, self._limit = dict(of), unit, most
+    def __init__(self, of: Json, unit: str, maximum: int):
+        self._of, self._unit, self._limit = dict(of), unit, maximum
         self._done = 0
 
     def state_dict(self) -> dict[str, Any]:

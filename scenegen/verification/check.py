@@ -292,8 +292,8 @@ class Sample:
 
     @cached_property
     def scans(self) -> list[Scan]:
-        """Stored scans: its own, then earlier ones. Raises CorruptFileError if a pose is "
-        "invalid."""
+        """Stored scans: its own, then earlier ones. Raises CorruptFileError if a pose is
+        invalid."""
         with reraise_as(CorruptFileError, f"{self.where}: "):
             return scans_of(self.contract, self.fields.__getitem__)
 

@@ -196,16 +196,16 @@ def audit(
     return chosen, cast_ranges, np.abs(stored - np.minimum(cast_ranges, lidar.max_range_m))
 
 
-def disagrees(gap: Floats, found: Floats, max_range_m: float) -> Mask:
+def disagrees(gap: Floats, audited: Floats, max_range_m: float) -> Mask:
     """Where ranges differ by more than rounding.
 
     Args:
         gap: Differences, metres.
-        found: Ranges of the audit, metres.
+        audited: Ranges of the audit, metres.
         max_range_m: Range of the sensor, metres.
 
     Returns:
         Mask; True also for NaN.
     """
     # negated, so that NaN counts as a difference
-    return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)
+    return ~(gap <= TOLERANCE_M + np.minimum(audited, max_range_m) / 2**23)

@@ -199,7 +199,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
         page.fault(str(error))
     # with other software, differences prove nothing
     if page.faults and (why := why_other(task.contract)):
-        page.faults, page.told = 0, []
+        page.faults, page.listed = 0, []
         page.differ(why, flights=1)
 
 

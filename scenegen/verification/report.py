@@ -70,7 +70,7 @@ class Page:
     """Results of one check so far: faults, counts, time."""
 
     faults: int = 0
-    told: list[str] = field(default_factory=list)
+    listed: list[str] = field(default_factory=list)
     skipped: str = ""
     why: str = ""
     """Why `differing` results are no fault."""
@@ -85,8 +85,8 @@ class Page:
     def fault(self, line: str) -> None:
         """Record a fault: one line with the file, the sample and what was expected."""
         self.faults += 1
-        if len(self.told) < MAX_LINES:
-            self.told.append(line)
+        if len(self.listed) < MAX_LINES:
+            self.listed.append(line)
 
     def expect(self, holds: Any, line: str) -> bool:
         """Record a fault unless a condition holds.
@@ -112,32 +112,32 @@ class Page:
         for noun, count in counts.items():
             self.counts[noun] += count
 
-    def note_greatest(self, what: str, value: float) -> None:
+    def note_greatest(self, figure: str, value: float) -> None:
         """Keep the maximum of a figure for the report.
 
         Args:
-            what: Name of the figure.
+            figure: Name of the figure.
             value: A value of it.
         """
-        self.notes[what] = max(self.notes.get(what, 0.0), value)
+        self.notes[figure] = max(self.notes.get(figure, 0.0), value)
 
-    def add(self, other: "Page") -> None:
+    def add(self, page: "Page") -> None:
         """Add the results of the same check of another shard."""
-        self.faults += other.faults
-        self.told = (self.told + other.told)[:MAX_LINES]
-        self.skipped = self.skipped or other.skipped
-        self.differ(other.why, **other.differing)
-        self.seconds += other.seconds
-        self.counts.update(other.counts)
-        self.kept += other.kept
-        for figure, value in other.notes.items():
+        self.faults += page.faults
+        self.listed = (self.listed + page.listed)[:MAX_LINES]
+        self.skipped = self.skipped or page.skipped
+        self.differ(page.why, **page.differing)
+        self.seconds += page.seconds
+        self.counts.update(page.counts)
+        self.kept += page.kept
+        for figure, value in page.notes.items():
             self.note_greatest(figure, value)
 
     def detail(self) -> str:
         """Text of the check's result."""
-        unlisted = self.faults - len(self.told)
+        unlisted = self.faults - len(self.listed)
         if self.faults:
-            return "; ".join([*self.told, f"and {unlisted} more"] if unlisted else self.told)
+            return "; ".join([*self.listed, f"and {unlisted} more"] if unlisted else self.listed)
         parts = [plural(count, noun) for noun, count in self.counts.items()]
         parts += [f"{noun} {value:.2g}" for noun, value in self.notes.items()]
         examined = ", ".join(parts)
@@ -169,15 +169,15 @@ class Ledger(dict[str, Page]):
     def __missing__(self, check: str) -> Page:
         return self.setdefault(check, Page())
 
-    def add(self, other: "Ledger") -> None:
+    def add(self, ledger: "Ledger") -> None:
         """Add the pages of another ledger."""
-        for name, theirs in other.items():
+        for name, theirs in ledger.items():
             self[name].add(theirs)
 
     @contextmanager
     def checking(self, check: str) -> Iterator[Page]:
-        """Time a check, without the checks inside the block. A CorruptFileError becomes its "
-        "fault."""
+        """Time a check, without the checks inside the block. A CorruptFileError becomes its
+        fault."""
         page, begin, outer, self._inner = self[check], time.perf_counter(), self._inner, 0.0
         try:
             yield page

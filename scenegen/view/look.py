@@ -81,6 +81,8 @@ class Look:
     """Voxels that scores count, see `scored_voxels`; None for all."""
     guesses: tuple[Guess, ...] = ()
     """Predictions of its map."""
+    surfaces: Sequence[Any] = ()
+    """Meshes of solids with `triangles` (n, 3, 3), metres in the world."""
     missing: tuple[str, ...] = ()
     """A line for each part that could not be read."""
 
@@ -88,6 +90,11 @@ class Look:
     def corners(self) -> tuple[Floats, Floats]:
         """Lower and upper corner of the grid (3,)."""
         return self.origin, self.origin + self.grid.extent_m
+
+    @property
+    def has_sensor(self) -> bool:
+        """Whether something was scanned, and not a world or a map alone is shown."""
+        return bool(self.scans) or "observed" in self.masks
 
     @property
     def points(self) -> Floats | None:

@@ -68,9 +68,11 @@ def picture(figure: Any) -> str:
 def _draw(look: Look) -> Any:
     from scenegen.view.figures import draw_completions
     from scenegen.view.panels import plain
-    from scenegen.view.pictures import draw_sample
+    from scenegen.view.pictures import draw_alone, draw_sample
 
     title = plain(look.name)
+    if look.tudf is None and not look.guesses:  # a scan, a map, a world
+        return draw_alone(look, title=title)
     return draw_completions([look], title=title) if look.guesses else draw_sample(look, title=title)
 
 
@@ -89,8 +91,8 @@ def show(
     `out`.
 
     Args:
-        samples: A sample, or several; or a path: of a dataset, of a completed scan, or of anything
-            that `scenegen render` draws.
+        samples: A sample, or several; or a path: of a dataset, a scan, a log, a map, a world, a
+            completed scan, or of anything that `scenegen render` draws.
         prediction: Prediction for the first sample: a `scenegen.Prediction`, or a bool array of
             occupied voxels, of the grid's shape; or a dictionary of these by the name of a method.
         path: Points (n, 3) of a path planned on the first prediction, or on the truth, metres in
@@ -109,11 +111,8 @@ def show(
     """
     if isinstance(samples, str | os.PathLike):
         name = os.fspath(samples)
-        if not TYPES[what_is(name)].shows:
-            figure = function_for(name, "draws")(Path(name))
-            title = f"<title>{html.escape(name)}</title>"
-            drawn = Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
-            return _open(drawn, out)
+        if prediction is None and path is None:
+            return _open(page_of(name), out)
         looks = function_for(name, "shows")(locate(name))
     else:
         several = [samples] if isinstance(samples, Sample) else samples
@@ -124,6 +123,28 @@ def show(
     notes = [line for look in looks for line in look.missing]
     content = page(looks, title="scenegen", notes=notes)
     return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
+
+
+def page_of(name: str) -> Shown:
+    """Make the page of whatever a path is.
+
+    Args:
+        name: A path of a type in `TYPES` that can be shown or drawn.
+
+    Raises:
+        DatasetError: The path does not exist, or has no type, or one that cannot be shown.
+    """
+    if not TYPES[what_is(name)].shows:
+        figure = function_for(name, "draws")(Path(name))
+        title = f"<title>{html.escape(name)}</title>"
+        return Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
+    looks = function_for(name, "shows")(locate(name))
+    notes = [line for look in looks for line in look.missing]
+    content = page(looks, title=Path(name).name, notes=notes, film=TYPES[what_is(name)].film)
+    path_type = TYPES[what_is(name)]
+    drawn = path_type.draws and not looks[0].guesses
+    draw = partial(function_for(name, "draws"), Path(name)) if drawn else partial(_draw, looks[0])
+    return Shown(html=content, looks=looks, draw=draw)
 
 
 def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:

@@ -80,10 +80,11 @@
   };
   const RAYS = [70, 110, 150];
   const CLEAR = { free: 0.12, unknown: 0.1 };
-  const SOLID = [139, 148, 158];
-  const kinds = new Map([["points", "points"], ["rays", "rays"], ...data.masks.map((name) => [name, name])]);
+  // a server may have samples with any layer; a file has those of its samples
+  const holds = (part) => live || data.samples.some((one) => one[part]);
+  const kinds = new Map([...(holds("points") ? ["points", "rays"] : []), ...data.masks].map((name) => [name, name]));
   if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
-  kinds.set("distances", "distances");
+  if (holds("tudf")) kinds.set("distances", "distances");
   const methods = new Map(data.methods), rows = new Map(), owners = new Map();
   for (const name of methods.keys()) {
     kinds.set(name, "predicted");
@@ -93,7 +94,7 @@
     }
   }
   if (methods.size) kinds.set("paths", "paths");
-  if (live) kinds.set("world", "world");
+  if (holds("triangles")) kinds.set("world", "world");
   const names = [...kinds.keys()];
   // Side by side, each view shows one of these sets of layers besides those that are checked.
   const shared = (name) => ["points", "rays", "paths", "world"].includes(kinds.get(name));
@@ -101,10 +102,20 @@
   for (const name of methods.keys()) sets.set(`${name}: errors`, [name, `${name}: missed`, `${name}: invented`]);
   // What the page tells first, and what its buttons tell next: sets of layers.
   const [first] = methods.keys(), told = new URLSearchParams(location.hash.slice(1));
-  const stories = { truth: ["observed", "occupancy"] };
-  if (methods.size) stories.prediction = ["observed", first, "paths"];
-  if (methods.size) stories.errors = [...sets.get(`${first}: errors`), "paths"];
-  const shown = new Set(told.get("layers")?.split("~").filter((name) => kinds.has(name)) ?? [...stories.truth, "paths"]);
+  const stories = {};
+  const story = (name, ...wanted) => {
+    const known = wanted.filter((one) => kinds.has(one));
+    if (known.length) stories[name] = known;
+  };
+  const routed = data.samples.some((one) => one.guesses.some((guess) => guess.route));
+  if (!kinds.has("observed")) story("truth", ...(kinds.has("world") ? ["world"] : ["occupancy"]));
+  if (kinds.has("observed")) story("seen", "observed", kinds.has("occupancy") ? "occupancy" : "points");
+  if (methods.size) story("believed", "observed", first, "paths");
+  if (methods.size && kinds.has("occupancy")) story("wrong", ...sets.get(`${first}: errors`), "paths");
+  if (methods.size && (live || routed)) story("planned", "occupancy", "paths");
+  if (kinds.has("observed") && kinds.has("occupancy")) story("truth", "occupancy");
+  const opening = (data.film && stories.believed) || [...Object.values(stories)[0] ?? [], "paths"];
+  const shown = new Set(told.get("layers")?.split("~").filter((name) => kinds.has(name)) ?? opening);
   const layers = {};
   function tell(wanted) {
     names.forEach((name, n) => { if (boxes[n].checked !== wanted.includes(name)) boxes[n].click(); });
@@ -136,13 +147,13 @@
   function beside(count) {
     const kept = [...shown].filter(shared);
     split(count > 1 ? usual.slice(-count) : []);
-    tell(panes.length ? kept : [...stories.truth, ...kept]);
+    tell(panes.length ? kept : [...opening, ...kept]);
   }
   find("views").onchange = ({ target }) => beside(+target.value);
   const boxes = names.map((name, n) => {
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
     const swatch = make("i"), kind = kinds.get(name);
-    const plain = { points: dark ? [230, 233, 237] : [17, 17, 17], rays: RAYS, world: SOLID, ...PLAIN }[kind];
+    const plain = { points: dark ? [230, 233, 237] : [17, 17, 17], rays: RAYS, ...PLAIN }[kind];
     const scales = { distances: data.colours.distances, paths: [...methods.values(), ...methods.values()] };
     swatch.style.background = plain ? `rgb(${plain})` : css(scales[kind] ?? data.colours.heights);
     const label = make("label"), owner = owners.get(name);
@@ -187,7 +198,7 @@
   }
 
   function voxels(bits, name) {
-    const [nx, ny, nz] = sample.shape, inside = (x, y, z) => bit(bits, x, y, z);
+    const [nx, ny] = sample.shape, nz = cut(), inside = (x, y, z) => z < nz && bit(bits, x, y, z);
     const places = [];
     for (let x = 0; x < nx; x++) for (let y = 0; y < ny; y++) for (let z = 0; z < nz; z++) {
       if (!inside(x, y, z)) continue;
@@ -201,7 +212,7 @@
     const mesh = new THREE.InstancedMesh(cube, material, count);
     const size = sample.voxel * (kind in CLEAR ? 0.6 : kind in PLAIN ? 1.02 : 0.98); // outer ones win
     const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
-    const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
+    const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(sample.shape[2] - 1, 1))));
     const right = { missed: fields.masks[owners.get(name)], invented: fields.masks.occupancy }[kind];
     for (let n = 0; n < count; n++) {
       const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
@@ -290,14 +301,47 @@
     fill("world");
   }
 
+  // What is above the cut is left out, so that one looks into rooms. At first it is above the sensor
+  // where most of the map lies under a ceiling.
+  const cut = () => +find("cut").value, below = new THREE.Plane(new THREE.Vector3(0, 0, -1));
+  if (renderer) renderer.localClippingEnabled = true;
+  function ceiling() {
+    const [nx, ny, nz] = sample.shape, { occupancy } = fields.masks;
+    const above = Math.floor(fields.sensor[2] / sample.voxel) + 1;
+    let columns = 0, covered = 0;
+    for (let x = 0; occupancy && x < nx; x++) for (let y = 0; y < ny; y++) {
+      const highest = Array.from({ length: nz }, (_, n) => nz - 1 - n).find((z) => bit(occupancy, x, y, z));
+      columns += highest !== undefined;
+      covered += highest >= above;
+    }
+    return covered > Math.max(0.6 * columns, 0.25 * nx * ny) ? above : nz;
+  }
+  let cutByHand = false;
+  function placeCut() {
+    find("cut").max = sample.shape[2];
+    if (!cutByHand) find("cut").value = ceiling();
+    below.constant = cut() * sample.voxel;
+    find("cut-at").textContent = cut() < sample.shape[2] ? `${(sample.origin[2] + below.constant).toFixed(2)} m` : "no cut";
+    document.body.dataset.cut = cut();
+  }
+  find("cut").oninput = () => {
+    if (!sample) return;
+    cutByHand = true;
+    placeCut();
+    names.forEach(fill);
+  };
+
   function surface(corners) {
     const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(corners, 3));
     shape.computeVertexNormals();
-    return new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ color: rgb(SOLID), side: THREE.DoubleSide }));
+    const colours = new Float32Array(corners.length), high = sample.shape[2] * sample.voxel;
+    for (let n = 0; n < corners.length; n += 3) rgb(ramp(data.colours.heights, corners[n + 2] / high)).toArray(colours, n);
+    shape.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+    return new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide, clippingPlanes: [below] }));
   }
 
   function built(name) {
-    if (name === "world") return fields.solids ? surface(fields.solids) : void solids();
+    if (name === "world") return fields.solids ? surface(fields.solids) : live && void solids();
     if (kinds.get(name) === "distances") {
       const tudf = fields.tudf[owners.get(name) ?? "truth"];
       return tudf && slice(tudf);
@@ -305,7 +349,7 @@
     if (name === "paths") return routes();
     if (name === "points" && fields.points) {
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
-      return new THREE.Points(shape, new THREE.PointsMaterial({ color: ink, size: 3, sizeAttenuation: false }));
+      return new THREE.Points(shape, new THREE.PointsMaterial({ color: ink, size: 3, sizeAttenuation: false, clippingPlanes: [below] }));
     }
     if (name === "rays" && fields.points) return lines(fields.sensor, fields.points.subarray(0, 3 * sample.own), rgb(RAYS), 0.25);
     return fields.masks[name] && voxels(fields.masks[name], name);
@@ -341,7 +385,7 @@
     const size = sample.shape.map((count) => count * sample.voxel);
     const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
     scene.add(layers["#box"] = new THREE.Box3Helper(box, new THREE.Color(ink)));
-    scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
+    if (sample.sensor) scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
     ["x", "y", "z"].forEach((name, axis) => {
       const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), pen = sign.getContext("2d");
       pen.font = "40px system-ui, sans-serif";
@@ -449,7 +493,7 @@
 
   const splits = () => live.datasets[+find("dataset").value].splits;
   const count = () => (live ? splits()[find("split").value] ?? 0 : data.samples.length);
-  const which = live ? find("number") : find("which");
+  const which = find(live ? "number" : data.film ? "time" : "which");
 
   async function show(number) {
     const began = performance.now(), mine = ++turn;
@@ -488,17 +532,21 @@
       const whole = new Int16Array((await unpack(next.points)).buffer);
       found.points = Float32Array.from(whole, (value, n) => (value / 32767) * next.reach + found.sensor[n % 3]);
     }
+    if (next.triangles) found.solids = new Float32Array((await unpack(next.triangles)).buffer);
     if (mine !== turn) return;
     const first = !placed || `${sample?.shape}` !== `${next.shape}`, levels = sample?.shape[+find("axis").value];
     [sample, fields, current, placed] = [next, found, number, true];
     which.value = current;
     if (levels !== sample.shape[+find("axis").value]) middle();
+    placeCut();
     frame();
     names.forEach(fill);
     const said = {
       sample: sample.name,
-      position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
-      heading: `${sample.heading.toFixed(1)}°`,
+      ...(sample.sensor && {
+        position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
+        heading: `${sample.heading.toFixed(1)}°`,
+      }),
       grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,
       ...sample.figures,
     };
@@ -552,7 +600,10 @@
   }
 
   data.samples.forEach((one, n) => find("which").append(Object.assign(make("option", one.name), { value: n })));
-  which.onchange = () => show(Math.round(+which.value) || 0);
+  find("time").max = data.samples.length - 1;
+  find("which").hidden = !!data.film;
+  find("time").hidden = !data.film;
+  which[data.film ? "oninput" : "onchange"] = () => show(Math.round(+which.value) || 0);
   if (live) {
     find("which").hidden = true;
     find("split").hidden = find("number").hidden = false;

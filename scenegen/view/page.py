@@ -44,7 +44,9 @@ HERE = files("scenegen.view")
 """Folder of the page's template and scripts."""
 
 
-def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str:
+def page(
+    looks: Sequence[Look], *, title: str, notes: Sequence[str] = (), film: bool = False
+) -> str:
     """Make a page that holds its samples. Names and texts are escaped, and never run as scripts.
 
     Masks are bits, first voxel highest, in C order; distances are bytes, 255 for the truncation;
@@ -55,6 +57,8 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
         looks: The samples.
         title: Title of the page.
         notes: Lines for the user.
+        film: Whether the samples follow one another in time. The page then has a timeline, and
+            opens on what is believed.
 
     Returns:
         The content of the page, with a note if samples were left out for its size.
@@ -77,7 +81,8 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
-    return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)
+    content = {"title": title, "notes": notes, "samples": samples, "masks": masks, "film": film}
+    return _filled(content, methods)
 
 
 def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequence[str]) -> str:
@@ -141,8 +146,11 @@ def packed(look: Look) -> Json:
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
         optional |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
+    if look.surfaces:
+        optional |= packed_world(look.surfaces, look.origin)
     return {
         "name": look.name,
+        "sensor": look.has_sensor,
         "shape": list(grid.shape),
         "voxel": grid.voxel_m,
         "truncation": grid.truncation_m,
@@ -221,11 +229,81 @@ SAFE = {
 """Headers of every answer, so that no other site can frame or read it."""
 
 
-class Live(ThreadingHTTPServer):
-    """The server of a page for datasets."""
+class PageServer(ThreadingHTTPServer):
+    """The server of one page, which holds what it shows."""
 
     timeout = 0.5
     request_queue_size = 64
+
+    def __init__(self, page: str, *, host: str = "127.0.0.1", port: int = 0):
+        """Listen.
+
+        Args:
+            page: Content of the page.
+            host: An IP address, or `localhost`.
+            port: The port; 0 for any free one.
+
+        Raises:
+            ScenegenError: The address is not one of this machine, or is in use.
+        """
+        self.page = page.encode()
+        try:
+            place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
+        except ValueError:
+            raise ScenegenError(
+                f"--host {host}: is no IP address; give one of this machine's, such as 127.0.0.1"
+            ) from None
+        self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
+        self.on_loopback = place.is_loopback
+        """Whether only this machine can reach it."""
+        try:
+            super().__init__((str(place), port), _Handler)
+        except OSError as error:
+            raise ScenegenError(
+                f"{host}, port {port}: cannot be served on ({error.strerror or error}); give "
+                "another --port, or 0"
+            ) from None
+        url_host = f"[{place}]" if place.version == 6 else str(place)
+        if place.is_unspecified:  # 0.0.0.0 is no address that a browser can open
+            url_host = socket.gethostname()
+        self.address = f"http://{url_host}:{self.server_address[1]}/"
+        """Address for the browser."""
+
+    def server_bind(self) -> None:
+        """Bind, without the base class's look-up of this machine's name, which can take seconds."""
+        socketserver.TCPServer.server_bind(self)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error in one line, unless the browser closed the connection.
+
+        Args:
+            request: The connection, unused.
+            client_address: The client, unused.
+        """
+        if not isinstance(error := sys.exc_info()[1], OSError):
+            print(printable(f"scenegen view: {type(error).__name__}: {error}"), file=sys.stderr)
+
+    def allows(self, host: str) -> bool:
+        """Whether the Host header of a request is an address, or this server's own name.
+
+        The page of a stranger can make its own name lead to this server and read the answers (DNS
+        rebinding). Its requests have that name as their Host.
+        """
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        with suppress(ValueError):
+            return bool(ipaddress.ip_address(name))
+        return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
+
+    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
+        """Answer a request of the page for a part; this one has all its parts."""
+        return HTTPStatus.NOT_FOUND, {"error": "no such part"}
+
+
+class Live(PageServer):
+    """The server of a page for datasets, which reads samples when they are asked for."""
 
     def __init__(
         self,
@@ -265,62 +343,14 @@ class Live(ThreadingHTTPServer):
             }
             for dataset in datasets
         ]
-        self.page = live_page(counts, split=split, index=index, methods=methods).encode()
-        try:
-            place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
-        except ValueError:
-            raise ScenegenError(
-                f"--host {host}: is no IP address; give one of this machine's, such as 127.0.0.1"
-            ) from None
-        self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
-        self.on_loopback = place.is_loopback
-        """Whether only this machine can reach it."""
-        try:
-            super().__init__((str(place), port), _Handler)
-        except OSError as error:
-            raise ScenegenError(
-                f"{host}, port {port}: cannot be served on ({error.strerror or error}); give "
-                "another --port, or 0"
-            ) from None
-        url_host = f"[{place}]" if place.version == 6 else str(place)
-        if place.is_unspecified:  # 0.0.0.0 is no address that a browser can open
-            url_host = socket.gethostname()
-        self.address = f"http://{url_host}:{self.server_address[1]}/"
-        """Address for the browser."""
-
-    def server_bind(self) -> None:
-        """Bind, without the base class's look-up of this machine's name, which can take seconds."""
-        socketserver.TCPServer.server_bind(self)
+        page = live_page(counts, split=split, index=index, methods=methods)
+        super().__init__(page, host=host, port=port)
 
     def server_close(self) -> None:
         """Close, and wait for the sample that is being read: a thread inside torch can abort the
         process when Python shuts down."""
         super().server_close()
         self._reading.acquire()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Report an error in one line, unless the browser closed the connection.
-
-        Args:
-            request: The connection, unused.
-            client_address: The client, unused.
-        """
-        if not isinstance(error := sys.exc_info()[1], OSError):
-            print(printable(f"scenegen view: {type(error).__name__}: {error}"), file=sys.stderr)
-
-    def allows(self, host: str) -> bool:
-        """Whether the Host header of a request is an address, or this server's own name.
-
-        The page of a stranger can make its own name lead to this server and read the answers (DNS
-        rebinding). Its requests have that name as their Host.
-        """
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
-        with suppress(ValueError):
-            return bool(ipaddress.ip_address(name))
-        return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
     def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
         """Answer a request of the page.
@@ -363,7 +393,7 @@ def _world(samples: Split, index: int) -> Json:
 class _Handler(BaseHTTPRequestHandler):
     """Handles one connection."""
 
-    server: Live
+    server: PageServer
     server_version, sys_version = "scenegen", ""
     protocol_version = "HTTP/1.1"
     timeout = IDLE_S

@@ -238,7 +238,8 @@ def draw_panel(
         put_points(panel, look.points, low[2], high[2], 4, view)
     else:
         draw_voxels(panel, look, look.masks.get(name), view=view)
-    put_ball(panel, view.project(look.position))
+    if look.has_sensor:
+        put_ball(panel, view.project(look.position))
 
 
 def draw_voxels(

@@ -88,6 +88,19 @@ def draw_sample(
     return grid.figure
 
 
+def draw_alone(look: Look, *, title: str) -> Figure:
+    """Draw what is known of a scan, a map or a world: its returns, or else its occupied voxels.
+
+    Args:
+        look: What to draw.
+        title: Title of the figure.
+    """
+    grid = Grid(1, 1, title, MARKS[1:], scale=2, width=None)
+    draw_panel(grid.panels[0, 0], look, "points" if look.scans else "occupancy", "", ticks=True)
+    grid.bar_of_heights([look])
+    return grid.figure
+
+
 def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
     """Draw many samples on one sheet: occupied voxels, with the returns in front of them.
 

@@ -49,11 +49,10 @@ class Flight:
     """Heights between which flights keep, metres; a world from an MJCF file brings its own
     bounds."""
     margin_m: float = number(8.0, minimum=0, maximum=MAX_DRAWN_M)
-    """How far flights keep from a drawn world's lateral edges, metres: half a map, so that maps lie
-    in the world."""
+    """Distance of flights from a drawn world's lateral edges, metres: by default half a map."""
     min_distance_m: float = number(10.0, minimum=0, maximum=MAX_LENGTH_M)
-    """Least distance between start and goal, metres; a third of the flight bounds' diagonal where
-    that is less."""
+    """Minimum distance between start and goal, metres; at most a third of the flight bounds'
+    diagonal."""
     viewpoints: int = number(5, minimum=1, maximum=MAX_VIEWPOINTS)
     """Samples a flight gives."""
     spacing_m: float = number(1.0, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)

@@ -32,21 +32,20 @@ class Mapper(Fusion):
     scans: int = number(1, minimum=1, maximum=MAX_SCANS)
     """Scans that make a map: the sample's own, and those before it on the flight."""
     scan_spacing_m: float = number(0.5, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
-    """Metres flown from scan to scan; what would lie before the flight's begin is scanned from
-    there."""
+    """Distance from scan to scan along the flight; scans before the start are taken at the
+    start."""
     tilt_mps: float = number(0.0, minimum=0, maximum=100)
-    """Speed of the flight, metres a second, whose accelerations tilt the body as a quadrotor's; 0
-    for a level body."""
+    """Speed of a flight that tilts the body as a quadrotor's; 0 for a level body, metres a
+    second."""
     settle_s: float = number(0.5, minimum=0.01, maximum=100)
     """Seconds before and after a corner over which the flight changes its velocity, where it
     tilts."""
     most_tilt_deg: float = number(30.0, above=0, maximum=80)
-    """The most that the body tilts, degrees."""
+    """Maximum tilt of the body, degrees."""
     map_ahead_m: tuple[float, float, float] = number(
         (0.0, 0.0, 0.0), minimum=-MAX_DRAWN_M, maximum=MAX_DRAWN_M
     )
-    """Where the map's middle lies from the sensor: forward along its heading, to its left, and up,
-    metres."""
+    """Centre of the map from the sensor: forward along its heading, to its left, and up, metres."""
 
     @property
     def plain(self) -> bool:

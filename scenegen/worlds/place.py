@@ -425,12 +425,12 @@ def encode_map(voxels: VoxelMap, where: str, **extra: NDArray[Any]) -> bytes:
     return content
 
 
-def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
+def box_of(cells: NDArray[Any], counts: Callable[[NDArray[Any]], Mask]) -> Ints:
     """Find the box around some cells, layer by layer: a map is too large for a copy.
 
     Args:
         cells: An array of any axes.
-        wanted: Marks the cells of a layer that count.
+        counts: Marks the cells of a layer that count.
 
     Returns:
         (2, axes): the first such cell along each axis, and one more than the last; zeros if there
@@ -438,7 +438,7 @@ def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
     """
     rows, seen = np.zeros(len(cells), bool), np.zeros(cells.shape[1:], bool)
     for n, layer in enumerate(cells):
-        marked = wanted(layer)
+        marked = counts(layer)
         rows[n] = marked.any()
         seen |= marked
     box = np.zeros((2, cells.ndim), np.int64)

@@ -107,7 +107,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> CloudMap:
 
 def _shades(path: Path) -> NDArray[np.uint8]:
     """Read a picture's pixels (rows, columns), 0 black to 255 white. Raises SceneError."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     expected = (
         ": expected a grey picture of 8 bits, .pgm or .png, without alpha, of "
@@ -118,6 +118,10 @@ def _shades(path: Path) -> NDArray[np.uint8]:
         content = io.BytesIO(read_bounded(path, MAX_ASSET_BYTES))
         with (
             warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning),
+            # Pillow would name the address of the bytes
+            reraise_as(
+                lambda message: ValueError("neither a .pgm nor a .png"), of=UnidentifiedImageError
+            ),
             Image.open(content, formats=("PNG", "PPM")) as picture,
         ):
             if picture.mode not in ("1", "L", "RGB") or math.prod(picture.size) > MAX_CELLS:

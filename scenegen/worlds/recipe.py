@@ -48,12 +48,11 @@ class Acceptance(Checked):
     """
 
     min_solids: float = number(1.0, minimum=0)
-    """A world is rejected when, averaged along its flight, fewer solids than this reach into the
-    map."""
+    """Minimum solids that reach into a world's map, averaged along its flight."""
     min_occupied_share: float = number(0.0005, minimum=0, maximum=1)
-    """A viewpoint is rejected when a smaller share of its map's voxels than this is occupied."""
+    """Minimum share of occupied voxels of a viewpoint's map."""
     min_returned_share: float = number(0.01, minimum=0, maximum=1)
-    """A viewpoint is rejected when a smaller share of its rays than this returns."""
+    """Minimum share of a viewpoint's rays that return."""
     max_draws: int = number(50, minimum=1, maximum=MAX_DRAWS)
     """Draws of one world after which generation gives up."""
 
@@ -191,7 +190,7 @@ def preset(
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
-def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, **settings: Any) -> Recipe:
     """Read a recipe from a TOML file.
 
     It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
@@ -201,7 +200,7 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     Args:
         path: The file.
         kind: Replaces a missing `kind`.
-        given: As for `preset`; must not repeat the file's.
+        settings: As for `preset`; must not repeat the file's.
 
     Returns:
         The recipe.
@@ -224,7 +223,7 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short_repr(named)}: expected a name, such as "pillar"')
-    return make_recipe(named, tables, where=where, folder=path.parent, **given)
+    return make_recipe(named, tables, where=where, folder=path.parent, **settings)
 
 
 def _with_options(tables: Json, where: str, options: Json) -> Json:
@@ -282,7 +281,7 @@ def make_recipe(
     *,
     where: str = "",
     folder: Path = Path(),
-    **given: Any,
+    **settings: Any,
 ) -> Recipe:
     """Make the preset of `kind` with other values.
 
@@ -294,7 +293,7 @@ def make_recipe(
         tables: Values by table, as in a recipe's file.
         where: The tables' source, for messages.
         folder: Paths in `tables` are relative to it.
-        given: As for `preset`.
+        settings: As for `preset`.
 
     Returns:
         The recipe.
@@ -313,7 +312,7 @@ def make_recipe(
     if "known" in tables:
         kinds["known"] = Known
     prefix = f"{where}: " if where else ""
-    tables = _with_options(tables, where, given)
+    tables = _with_options(tables, where, settings)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}
     if kind != "scene":
@@ -324,7 +323,7 @@ def make_recipe(
         defaults["world"] = _graded(world, level, prefix)
     elif level != "medium":
         raise RecipeError(f"{prefix}difficulty: worlds from MJCF files have none; leave it out")
-    sensor = given.get("lidar")
+    sensor = settings.get("lidar")
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():

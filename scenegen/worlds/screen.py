@@ -11,13 +11,13 @@ from xml.parsers import expat
 from lidarsim.parameters import MAX_LENGTH_M, short_repr
 from scenegen.base.errors import CorruptFileError
 from scenegen.base.limits import (
-    MAX_ASKED,
     MAX_ATTRIBUTES,
     MAX_BUILTIN,
     MAX_CELLS,
     MAX_DEPTH,
     MAX_ELEMENTS,
     MAX_GEOMS,
+    MAX_MJCF_VALUES,
     MAX_OTHERS,
 )
 
@@ -41,7 +41,7 @@ FILES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "fr
 FOLDERS = {"meshdir", "texturedir", "assetdir"}
 LOOKS = {"name", "rgba", "material"}
 """Attributes that do not place a solid; a world's outline omits them."""
-WATCHED = FILES | FOLDERS | {"builtin"} | set(MAX_ASKED)
+WATCHED = FILES | FOLDERS | {"builtin"} | set(MAX_MJCF_VALUES)
 LENGTHS = {"pos", "size", "fromto", "scale", "refpos", "vertex", "elevation"}
 """Attributes that hold metres, or multiples of them."""
 TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler", "refquat", "params", "rgba"}
@@ -137,7 +137,7 @@ def _check_attributes(
             raise CorruptFileError(f"{where}: expected files beside the document")
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
-        limit = 100_000 if (tag, key) == ("numeric", "size") else MAX_ASKED.get(key)
+        limit = 100_000 if (tag, key) == ("numeric", "size") else MAX_MJCF_VALUES.get(key)
         if limit is not None and not -1 <= _amount(value) <= limit:
             raise CorruptFileError(f"{where}: expected {limit} at most")
     for sides in (("width", "height"), ("nrow", "ncol")):

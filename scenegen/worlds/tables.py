@@ -98,13 +98,13 @@ def field_names(part: Any) -> set[str]:
     return {item.name for item in dataclasses.fields(part)}
 
 
-def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
+def check_name(name: Any, known: tuple[str, ...], noun: str, where: str) -> None:
     """Check that a name is known.
 
     Args:
         name: The name.
         known: The known names.
-        what: What it names, for the message: "table".
+        noun: What it names, for the message: "table".
         where: Its source, for the message.
 
     Raises:
@@ -113,7 +113,7 @@ def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None
     if name not in known:
         hint = suggestion(str(name), known)
         raise RecipeError(
-            f"{where}{': ' if where else ''}unknown {what} {short_repr(name)}; {hint}"
+            f"{where}{': ' if where else ''}unknown {noun} {short_repr(name)}; {hint}"
         )
 
 

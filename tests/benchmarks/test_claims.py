@@ -10,6 +10,7 @@ import pytest
 from benchmarks.paper.claims import (
     ALL,
     PATIENCE,
+    QUESTIONS,
     Claim,
     answers,
     asked,
@@ -25,6 +26,7 @@ from benchmarks.paper.claims import (
 )
 from scenegen.model.bench.metrics import METRICS
 from scenegen.model.bench.report import PAPER
+from tests.command_line import ROOT
 
 WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")
@@ -46,39 +48,32 @@ def bench_of(kind, rows, worlds):
     return SimpleNamespace(kind=kind, rows=rows, methods=methods, worlds_of=lambda metric: worlds)
 
 
-def told(epochs, best=1.0):
-    """What is told of a run of so many epochs that was best after `best` of them."""
-    rows = [{"maps": 100 * best, "val_loss": 0.1}, {"maps": 100 * epochs, "val_loss": 0.2}]
-    return {"samples": 100, "curve": rows}
-
-
 def test_claims_are_the_bold_cells_against_each_other_row(monkeypatch):
     monkeypatch.setitem(METRICS, "of today", METRICS["iou"])
-    found = claims()
-    assert len(found) == len(set(found)) == 2 * 2 * (10 + 4)
-    ties = [claim.best for claim in found if (claim.kind, claim.metric) == ("geometric", "mae")]
+    every = claims()
+    assert len(every) == len(set(every)) == 2 * 2 * (10 + 4)
+    ties = [claim.best for claim in every if (claim.kind, claim.metric) == ("geometric", "mae")]
     assert sorted(ties) == ["proposed", "tudf"]  # .162 twice: each before `occ`
-    for claim in found:
-        table = PAPER["reconstruction" if claim.metric in METRICS else "planning"]
+    for claim in every:
+        table = PAPER["reconstruction" if claim.metric in METRICS else "planning"][claim.kind]
         names = {"tudf": "TUDF", "occ": "OCC", "proposed": "Proposed"}
-        best, other = (
-            table[claim.kind][names[name]][claim.metric][0] for name in (claim.best, claim.other)
-        )
-        better = {
-            "higher": best > other,
-            "lower": best < other,
-            "nearer to 0": abs(best) < abs(other),
-        }
-        assert better[ALL[claim.metric].better]
+        best, other = (table[names[row]][claim.metric][0] for row in (claim.best, claim.other))
+        match ALL[claim.metric].better:
+            case "higher":
+                assert best > other
+            case "lower":
+                assert best < other
+            case _:
+                assert abs(best) < abs(other)
 
 
 def test_a_gain_is_positive_where_the_first_is_better(rng):
     base = rng.normal(0.5, 0.2, 200)
     for metric, sign in (("iou", 1), ("rmse", -1)):
-        found = gain(measured({"a": base + 0.1, "b": base}, metric), metric, [("a", "b")])
-        assert found.value == pytest.approx(sign * 0.1)
-        assert found.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
-        assert found.freedom == 39
+        estimate = gain(measured({"a": base + 0.1, "b": base}, metric), metric, [("a", "b")])
+        assert estimate.value == pytest.approx(sign * 0.1)
+        assert estimate.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
+        assert estimate.freedom == 39
     both = measured({"a": np.full(200, -0.02), "b": np.full(200, 0.2)}, "bias")
     assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18)  # its distance from 0
 
@@ -105,9 +100,9 @@ def study(rng, ours, theirs, *, seeds=2, training=0.0):
     return measured(rows)
 
 
-def found(one, long=()):
-    spreads = {("pillar", "iou"): seed_variance(losses(means(one), "iou"))}
-    return decided([compared(CLAIM, one)], spreads, long)[0]
+def decision(measured, long=()):
+    spreads = {("pillar", "iou"): seed_variance(losses(means(measured), "iou"))}
+    return decided([compared(CLAIM, measured)], spreads, long)[0]
 
 
 def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn(monkeypatch):
@@ -115,51 +110,53 @@ def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_
     narrow."""
     monkeypatch.setattr("benchmarks.paper.claims.ALL", {"iou": METRICS["iou"]})
     rng, repeats = np.random.default_rng(1), 100
-    every = [found(study(rng, 0.05, 0.02, training=0.02)) for _ in range(repeats)]
-    held = np.mean([one["low"] <= 0.03 <= one["high"] for one in every])
+    every = [decision(study(rng, 0.05, 0.02, training=0.02)) for _ in range(repeats)]
+    held = np.mean([claim["low"] <= 0.03 <= claim["high"] for claim in every])
     assert 0.93 <= held <= 0.985
-    worlds_alone = np.mean(
-        [abs(one["difference"] - 0.03) <= 2 * one["worlds_error"] for one in every]
-    )
-    assert worlds_alone < 0.6
-    equal = [found(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(50)]
+    errors = [(abs(claim["difference"] - 0.03), claim["worlds_error"]) for claim in every]
+    assert np.mean([error <= 2 * worlds_alone for error, worlds_alone in errors]) < 0.6
+    equal = [decision(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(50)]
     assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
 
 
-def test_only_runs_as_long_as_the_paper_s_refute(rng):
+def test_only_long_runs_refute(rng):
+    """Those as long as the paper's."""
     better, worse, alike = (study(rng, ours, 0.5, training=0.002) for ours in (0.6, 0.4, 0.501))
-    assert (found(better)["verdict"], found(alike)["verdict"]) == ("confirmed", "undecided")
+    assert decision(better)["verdict"] == "confirmed"
+    assert decision(alike)["verdict"] == "undecided"
     runs = [f"{name}-s{seed}" for name in ("occ", "proposed") for seed in (0, 1)]
-    assert found(worse)["verdict"] == found(worse, tuple(runs[:3]))["verdict"] == "contradicted"
-    assert found(worse, tuple(runs))["verdict"] == "refuted"
-    assert waited(told(4)) == 3
-    assert waited(told(PATIENCE + 3, best=3)) == PATIENCE
+    assert decision(worse, runs[:3])["verdict"] == "contradicted"
+    assert decision(worse, runs)["verdict"] == "refuted"
 
 
-def whole():
-    """A study of both kinds, as it is before it is judged."""
-    rng = np.random.default_rng(0)
-    several = []
-    for kind in PAPER["planning"]:
-        base = study(rng, 0.6, 0.5, training=0.005)
-        rows = {
-            name: {metric: row["iou"] + 0.01 * n for n, metric in enumerate(ALL)}
-            for name, row in base.rows.items()
-        }
-        several.append(bench_of(kind, rows, base.worlds_of("iou")))
-    runs = {name: told(4) for name in several[0].rows}
-    return {"runs": runs, "means": {one.kind: means(one) for one in several}, **asked(several)}
+@pytest.mark.parametrize(("best", "last"), [(1, 4), (3, PATIENCE + 3)])
+def test_runs_wait_after_their_best_epoch(best, last):
+    rows = [{"maps": 100 * best, "val_loss": 0.1}, {"maps": 100 * last, "val_loss": 0.2}]
+    assert waited({"samples": 100, "curve": rows}) == last - best
 
 
-def test_verdicts_follow_from_the_file(tmp_path, monkeypatch):
-    first, file = judged(whole()), tmp_path / "study.json"
-    assert len(first["claims"]) == len(claims())
-    assert {one["verdict"] for one in first["claims"]} == {"confirmed", "contradicted"}
-    counted = Counter(one["question"] for one in first["claims"])
-    for question, said in first["verdicts"].items():
-        assert sum(said["claims"].values()) == counted[question] > 0
-    agreeing = [claim | {"verdict": "refuted"} for claim in first["claims"]]
-    assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
-    file.write_text(json.dumps(first))
+def test_claims_are_asked_of_their_kind(rng):
+    """Paths again, where both have one."""
+    questions = asked([study(rng, 0.6, 0.5)])
+    kinds = {claim["kind"] for part in questions.values() for claim in part}
+    assert kinds == {"pillar"}
+    assert len(questions["claims"]) == len(claims()) / 2
+    assert {claim["metric"] for claim in questions["paths"]} == {*QUESTIONS["Q3"][1]}
+
+
+def test_verdicts_of_the_study_follow_from_its_file(monkeypatch):
     monkeypatch.setitem(ALL, "of tomorrow", METRICS["iou"])  # which the file has not
-    assert judged(json.loads(file.read_text())) == json.loads(json.dumps(first))
+    stored = json.loads((ROOT / "docs" / "results" / "study.json").read_text(encoding="utf-8"))
+    again = judged(stored)
+    assert again["verdicts"] == stored["verdicts"]
+    for part in ("claims", "beside", "paths"):
+        for claim, expected in zip(again[part], stored[part], strict=True):
+            assert claim["verdict"] == expected["verdict"]
+            assert claim["low"] == pytest.approx(expected["low"], abs=1e-4)
+    counts = Counter((claim["question"], claim["verdict"]) for claim in again["claims"])
+    for question, answer in again["verdicts"].items():
+        assert {(question, verdict): n for verdict, n in answer["claims"].items()} == {
+            key: n for key, n in counts.items() if key[0] == question
+        }
+    agreeing = [claim | {"verdict": "refuted"} for claim in again["claims"]]
+    assert {answer["verdict"] for answer in answers(agreeing).values()} == {"refuted"}

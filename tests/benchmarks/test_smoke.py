@@ -4,7 +4,6 @@ import importlib
 import re
 import runpy
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,7 +27,7 @@ LEARNED = {
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
-    *("extras", "fly", "folders", "generate", "rehearsal"),
+    *("extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
     *("mutants", "study", "verify"),
 }
 """These take some seconds."""
@@ -37,21 +36,6 @@ DEAR = LEARNED | {
 def test_every_benchmark_is_here():
     named = {command.split()[0] for command in SCRIPTS}
     assert {path.stem for path in BENCHMARKS.glob("*.py")} == named | SHARED
-
-
-def test_options_are_the_fields_of_a_class(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    measuring, kinds = (importlib.import_module(name) for name in ("measuring", "kinds"))
-    usual = kinds.Options()
-
-    def given(*words):
-        monkeypatch.setattr(sys, "argv", ["kinds.py", *words])
-        return measuring.parse(kinds.Options, kinds=["maze"], worlds=1)
-
-    assert given() == usual
-    assert given("--smoke") == replace(usual, smoke=True, kinds=["maze"], worlds=1)
-    found = given("cave", "rooms", "--smoke", "--worlds", "3")
-    assert (found.kinds, found.worlds) == (["cave", "rooms"], 3)
 
 
 @pytest.fixture(scope="session")

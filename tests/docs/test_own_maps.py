@@ -12,18 +12,12 @@ def test_the_documented_maps_train(tmp_path, monkeypatch, rng):
     monkeypatch.chdir(tmp_path)
     for name in ("train", "val"):
         occupancy = rng.random((4, 16, 16, 16)) < 0.1
-        np.savez(
-            f"{name}.npz",
-            observed=occupancy & (rng.random(occupancy.shape) < 0.5),
-            occupancy=occupancy,
-        )
+        observed = occupancy & (rng.random(occupancy.shape) < 0.5)
+        np.savez(f"{name}.npz", observed=observed, occupancy=occupancy)
     small = 'maps=8, width=4, precision="float32"'
     text = example("own-maps.md", "# recorded.py").replace("maps=5000", small)
     text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))")
     exec(text, {})
-    network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")
-    assert (network.config.width, grid, about["settings"]["kinds"]) == (
-        4,
-        GridSpec(shape=(16, 16, 16)),
-        ["yard"],
-    )
+    network, saved_grid, about = load_network(tmp_path / "runs/yard/best.safetensors")
+    assert (network.config.width, saved_grid) == (4, GridSpec(shape=(16, 16, 16)))
+    assert about["settings"]["kinds"] == ["yard"]

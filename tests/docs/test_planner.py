@@ -13,18 +13,13 @@ def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ran = {}
     exec(example("planning.md", "def straight"), ran)
-    goals = ran["trials"].goals
+    goals, grid, occupancy = ran["trials"].goals, ran["grid"], ran["sample"].occupancy
     assert len(goals) > 3
-    start, truth = ran["sample"].position - ran["sample"].origin, ran["truth"]
-    lines = [start + (goal - start) * (np.arange(2001)[:, None] / 2000) for goal in goals]
-    clear = [
-        not ran["sample"].occupancy[tuple((line / ran["grid"].voxel_m).astype(int).T)].any()
-        for line in lines
-    ]
-    maps = ran["occupied"], ran["tudf"], *truth
-    assert ran["successes"] == {
-        "mine": pytest.approx(
-            sum(clear), abs=1
-        ),  # a line may touch a voxel between two of the judge's points
-        "bench": sum(run_trial(*maps, goal, ran["grid"], ran["config"]).success for goal in goals),
-    }
+    start = ran["sample"].position - ran["sample"].origin
+    along = np.arange(2001)[:, None] / 2000
+    lines = [grid.index(start + (goal - start) * along, 0) for goal in goals]
+    clear = sum(not occupancy[tuple(line.T)].any() for line in lines)
+    maps = ran["occupied"], ran["tudf"], *ran["truth"]
+    expected = sum(run_trial(*maps, goal, grid, ran["config"]).success for goal in goals)
+    # a line may touch a voxel between two of the judge's points
+    assert ran["successes"] == {"mine": pytest.approx(clear, abs=1), "bench": expected}

@@ -4,10 +4,12 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks.paper.claims import PATIENCE, judged, to_csv, waited
+from benchmarks.paper.claims import PATIENCE, to_csv, waited
 
+METHODS = ("columns", "proposed-1", "proposed", "occ", "tudf")
 DOCS = Path(__file__).parents[2] / "docs"
 VERDICTS = "confirmed", "contradicted", "undecided"
 
@@ -48,28 +50,21 @@ def test_every_claim_has_what_its_verdict_rests_on(study):
         assert re.fullmatch(r"[0-9a-f]{64}", run["sha256"])
 
 
-def test_verdicts_follow_from_the_figures_of_the_file(study):
-    again = judged(study)
-    assert again["verdicts"] == study["verdicts"]
-    for part in ("claims", "beside", "paths"):
-        for one, other in zip(again[part], study[part], strict=True):
-            assert one["verdict"] == other["verdict"]
-            assert one["low"] == pytest.approx(other["low"], abs=1e-4)
-
-
 def test_the_readme_compares_networks_after_equal_training(study):
     """Its figures are the means over seeds of runs that saw as many maps."""
     page = (DOCS.parent / "README.md").read_text(encoding="utf-8")
     part = page.split("## Networks after equal training")[1].split("\n## ")[0]
-    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("| ")]
-    methods = ("columns", "proposed-1", "proposed", "occ", "tudf")
-    for (_, _, weight, *cells), method in zip(rows[1:], methods, strict=True):
-        runs = [f"{method}-s{seed}" for seed in (0, 1)]
-        assert {study["runs"][run]["maps"] for run in runs} == {20000}
-        if "–" not in weight:
-            learned = {study["runs"][run]["settings"]["loss"]["occupancy"] for run in runs}
-            assert learned == {float(weight.split(",")[0])}
-        for metric, cell in zip(("iou", "success"), cells, strict=True):
-            for kind, figure in zip(("geometric", "pillar"), cell.split("·"), strict=True):
-                means = [study["means"][kind][run][metric]["mean"] for run in runs]
-                assert float(figure) == pytest.approx(sum(means) / 2, abs=0.00051)
+    rows = [line.strip("|").split("|")[2:] for line in part.splitlines() if line.startswith("| ")]
+    for (weight, *cells), method in zip(rows[1:], METHODS, strict=True):
+        names = [f"{method}-s{seed}" for seed in (0, 1)]
+        runs = [study["runs"][name] for name in names]
+        assert {run["maps"] for run in runs} == {20000}
+        weights = {run["settings"]["loss"]["occupancy"] for run in runs}
+        assert "–" in weight or weights == {float(weight.split(",")[0])}
+        means = [
+            np.mean([study["means"][kind][name][metric]["mean"] for name in names])
+            for metric in ("iou", "success")
+            for kind in ("geometric", "pillar")
+        ]
+        figures = [float(figure) for cell in cells for figure in cell.split("·")]
+        assert figures == pytest.approx(means, abs=5.1e-4)

@@ -14,7 +14,6 @@ form that is affordable:
   the exact values of the float64 inputs.
 """
 
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 
@@ -68,52 +67,6 @@ def lidar_directions(quaternion, *, rows, columns, vertical_fov_deg, pitch_deg, 
 
 # ----------------------------------------------------------------------------------------- ray
 # casting
-
-
-@dataclass(frozen=True)
-class Geom:
-    """A MuJoCo primitive geom: its kind and sizes as in MJCF, and its pose in its parent's
-    frame."""
-
-    kind: str
-    size: tuple[float, ...]
-    position: tuple[float, ...] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
-    attributes: str = ""
-
-    def xml(self):
-        """The geom as MJCF; 17 digits carry every float64 exactly."""
-        return (
-            f'<geom type="{self.kind}" size="{numbers(self.size)}" pos="{numbers(self.position)}" '
-            f'quat="{numbers(self.quaternion)}" {self.attributes}/>'
-        )
-
-
-@dataclass(frozen=True)
-class Body:
-    """A body holding geoms; `inner` is further MJCF inside it (a joint, an inertia)."""
-
-    geoms: tuple[Geom, ...]
-    position: tuple[float, ...] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
-    inner: str = ""
-
-    def xml(self):
-        """The body as MJCF."""
-        inside = self.inner + "".join(geom.xml() for geom in self.geoms)
-        pose = f'pos="{numbers(self.position)}" quat="{numbers(self.quaternion)}"'
-        return f"<body {pose}>{inside}</body>"
-
-
-def numbers(values):
-    """Floats for an MJCF attribute, exactly."""
-    return " ".join(f"{float(value):.17g}" for value in values)
-
-
-def world_xml(geoms=(), bodies=(), assets=""):
-    """An MJCF world with geoms of the world body and bodies beside them."""
-    inside = "".join(geom.xml() for geom in geoms) + "".join(body.xml() for body in bodies)
-    return f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
 
 
 def _slab(start, along, half):

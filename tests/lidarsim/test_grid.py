@@ -35,8 +35,3 @@ def test_a_face_belongs_to_the_voxel_above_it():
         assert_array_equal(grid.index(face, origin), corner)
         assert_array_equal(grid.index(face - 1e-9, origin), np.array(corner) - 1)
         assert_array_equal(grid.index(face + 0.25 - 1e-9, origin), corner)
-
-
-def test_the_default_grid_is_the_papers():
-    assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
-    assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)

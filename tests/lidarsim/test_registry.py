@@ -5,8 +5,8 @@ import sys
 import pytest
 
 from lidarsim.registry import Registry
-from tests.command_line import rows
 from tests.refusals import refuses
+from tests.scenegen import cases
 
 ENGINES = Registry(
     "engine", {"plain": "lidarsim.scan:cast"}, needs={"__call__": "so that it can be called"}
@@ -28,18 +28,7 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
     assert callable(ENGINES.find("own:called"))
 
 
-WRONG = """
-plian
-os.system('ls'):x
-absent:Engine
-own:Missing
-own:here
-broken:Engine
-needy:Engine
-"""
-
-
-@pytest.mark.parametrize("name", [*(name for (name,) in rows(WRONG)), "lidar\n", 5])
+@pytest.mark.parametrize("name", [*sum(cases("../lidarsim/registry"), ()), "lidar\n", 5])
 def test_what_is_missing_is_told_in_one_line(standing, name):
     (standing / "own.py").write_text("here = 1\nclass Empty: pass")
     (standing / "broken.py").write_text("\n1 / 0")

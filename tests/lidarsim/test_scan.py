@@ -22,13 +22,12 @@ def test_marks_of_drivers_are_no_returns(mark):
 
 
 def test_marks_moved_into_another_frame_are_no_returns():
-    moved = rotate(TURN, np.where(LOST[:, None], 0.0, POINTS)) + ARM
-    assert_array_equal(are_returns(moved, ARM), ~LOST)
-    assert_array_equal(are_returns(moved), ~LOST)  # whoever does not say where the sensor was
+    marked = np.where(LOST[:, None], 0.0, POINTS)
+    moved, sensors = rotate(TURN, marked) + ARM, RNG.normal(size=POINTS.shape) * 50
     left = np.where(LOST[:, None], 0.0, rotate(TURN, POINTS) + ARM)
-    assert_array_equal(are_returns(left, ARM), ~LOST)
-    sensors = RNG.normal(size=POINTS.shape) * 50
-    assert_array_equal(are_returns(np.where(LOST[:, None], 0, POINTS) + sensors, sensors), ~LOST)
+    queries = (moved, ARM), (left, ARM), (marked + sensors, sensors)
+    for query in ((moved,), *queries):  # first, whoever does not say where the sensor was
+        assert_array_equal(are_returns(*query), ~LOST)
 
 
 def test_two_echoes_alike_are_returns():

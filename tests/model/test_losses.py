@@ -54,14 +54,12 @@ def weighted_smooth_l1(predicted, tudf, near_m, weight, beta_m):
 
 
 def eikonal(predicted, tudf, voxel_m, truncation_m):
-    """L_eik = 1/sum(m) sum m | |grad| - 1 |, voxel by voxel."""
-    p, total, count = predicted.astype(np.float64), 0.0, 0
-    for b, i, j, k in np.ndindex(p.shape[0], *(n - 1 for n in p.shape[1:])):
-        if 0 < tudf[b, i, j, k] < np.float32(truncation_m):
-            steps = [p[b, i + 1, j, k], p[b, i, j + 1, k], p[b, i, j, k + 1]]
-            squares = [((step - p[b, i, j, k]) / voxel_m) ** 2 for step in steps]
-            total, count = total + abs(math.sqrt(sum(squares) + 1e-8) - 1), count + 1
-    return total / count if count else 0.0
+    """L_eik = 1/sum(m) sum m | |grad| - 1 |, of the voxels that have a next one on every axis."""
+    inner, p = np.s_[:, :-1, :-1, :-1], predicted.astype(np.float64)
+    steps = [(np.roll(p, -1, axis) - p)[inner] / voxel_m for axis in (1, 2, 3)]
+    errors = np.abs(np.sqrt(np.square(steps).sum(axis=0) + 1e-8) - 1)
+    counted = ((tudf > 0) & (tudf < np.float32(truncation_m)))[inner]
+    return errors[counted].sum() / max(counted.sum(), 1)
 
 
 def random_case(seed, shape=SHAPE, voxel_m=0.2, truncation_m=2.0):
@@ -71,15 +69,10 @@ def random_case(seed, shape=SHAPE, voxel_m=0.2, truncation_m=2.0):
     reach = math.ceil((truncation_m / voxel_m) ** 2)
     shells = np.minimum(voxel_m * np.sqrt(rng.integers(0, reach * 5 // 4 + 1, shape)), truncation_m)
     shells[rng.random(shape) < 0.2] = 0.0
-    shells[rng.random(shape) < 0.2] = voxel_m * min(3, math.floor(truncation_m / voxel_m))
+    shells[rng.random(shape) < 0.2] = 3 * voxel_m
     predicted = shells + rng.normal(0, 0.6 * truncation_m, shape)
-    logits = rng.normal(0, 4, shape)
-    return (
-        logits.astype(np.float32),
-        rng.random(shape) < 0.3,
-        predicted.astype(np.float32),
-        shells.astype(np.float32),
-    )
+    logits = rng.normal(0, 4, shape).astype(np.float32)
+    return logits, rng.random(shape) < 0.3, predicted.astype(np.float32), shells.astype(np.float32)
 
 
 def value(loss):
@@ -115,21 +108,24 @@ def finite_differences(equation, at, *more, step=1e-5):
 
 
 SPACE = {"voxel_m": 0.2, "truncation_m": 2.0}
-SPACES = [SPACE, {"voxel_m": 0.13, "truncation_m": 0.9}]
 LAWS = [
-    *[("occupancy_loss", cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
+    ("occupancy_loss", cross_entropy, {"occupied_weight": 5.0}),
+    ("occupancy_loss", cross_entropy, {"occupied_weight": 0.3}),
     ("lovasz_loss", lovasz_hinge, {}),
     *[
         ("regression_loss", weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
         for n, w, b in (
-            (0.6, 3.0, 0.7),  # an edge that float32 holds a little beyond the number written
             (1.0, 0.25, 2.0),
             (0.0, 3.0, 0.01),
+            (0.6, 3.0, 0.7),  # an edge that float32 holds a little beyond the number written
         )
     ],
-    *[("eikonal_loss", eikonal, space) for space in SPACES],
+    ("eikonal_loss", eikonal, SPACE),
+    ("eikonal_loss", eikonal, {"voxel_m": 0.13, "truncation_m": 0.9}),
 ]
 """A loss, its equation, and settings of both."""
+LAST_LAWS = list({law[0]: law for law in LAWS}.values())
+"""One of each loss."""
 
 
 def case_of(loss, settings, seed, shape=SHAPE):
@@ -145,126 +141,93 @@ def test_a_loss_is_the_papers(loss, equation, settings):
     for seed, dtype in itertools.product(range(4), (torch.float32, torch.bfloat16)):
         at, truth = case_of(loss, settings, seed)
         at = torch.from_numpy(at).to(dtype)
-        wanted = equation(at.float().numpy(), truth, *settings.values())
-        found = term(loss, **settings)(at, torch.from_numpy(truth))
-        assert value(found) == pytest.approx(wanted, rel=2e-6)
+        expected = equation(at.float().numpy(), truth, *settings.values())
+        actual = term(loss, **settings)(at, torch.from_numpy(truth))
+        assert value(actual) == pytest.approx(expected, rel=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("loss", "equation", "settings"), {law[0]: law for law in reversed(LAWS)}.values()
-)
-def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, settings):
+@pytest.mark.parametrize(("loss", "equation", "settings"), LAST_LAWS)
+def test_gradients_are_finite_differences(loss, equation, settings):
     for seed in range(3):
         at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
-        wanted = finite_differences(equation, at, truth, *settings.values())
-        assert np.abs(wanted).max() > 1e-3
-        found = gradient(term(loss, **settings), at, truth)
-        assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
+        expected = finite_differences(equation, at, truth, *settings.values())
+        assert np.abs(expected).max() > 1e-3
+        actual = gradient(term(loss, **settings), at, truth)
+        assert_allclose(actual, expected, rtol=2e-5, atol=1e-7)
 
 
 # Extremes.
 
 
 @pytest.mark.parametrize("logit", [-1e4, -40.0, 20.0, 300.0])
-@pytest.mark.parametrize("occupied", [False, True])
-def test_logits_of_any_size_have_the_right_limits(logit, occupied):
+@pytest.mark.parametrize(("occupied", "weight", "sign"), [(False, 1.0, 1), (True, 5.0, -1)])
+def test_logits_of_any_size_have_limits(logit, occupied, weight, sign):
     """Sure and right costs next to nothing, which is not rounded away; sure and wrong by its
     weight."""
-    weight, away = (5.0, -logit) if occupied else (1.0, logit)
-    truth = torch.full((1, 4, 3, 2), occupied)
-    logits = torch.full(truth.shape, logit).requires_grad_()
-    loss = term("occupancy_loss", occupied_weight=5.0)(logits, truth)
+    logits = torch.full(SHAPE, logit).requires_grad_()
+    loss = term("occupancy_loss", occupied_weight=5.0)(logits, torch.full(SHAPE, occupied))
     loss.backward()
-    assert value(loss) == pytest.approx(weight * np.logaddexp(0, away), rel=1e-5, abs=1e-30)
+    assert value(loss) == pytest.approx(weight * np.logaddexp(0, sign * logit), rel=1e-5, abs=1e-30)
     assert torch.isfinite(logits.grad).all()
 
 
-@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
-def test_a_flat_prediction_has_a_finite_gradient(dtype):
+def test_flat_predictions_have_a_finite_gradient():
     """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
-    predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
-    loss = term("eikonal_loss", **SPACE)(predicted, torch.ones(SHAPE))
-    loss.backward()
-    assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
-    assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
+    flat, truth = np.full(SHAPE, 0.7, np.float32), np.ones(SHAPE, np.float32)
+    loss = term("eikonal_loss", **SPACE)
+    assert value(loss(torch.from_numpy(flat), torch.from_numpy(truth))) == pytest.approx(1 - 1e-4)
+    assert_allclose(gradient(loss, flat, truth), 0, atol=1e-12)
 
 
-def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient():
-    shape = (2, 4, 3, 5)
-    last = torch.full(shape, 2.0)  # which have no slope
-    last[:, -1], last[:, :, -1], last[..., -1] = 1.0, 1.0, 1.0
-    fields = [torch.zeros(shape), last, torch.ones(2, 4, 1, 5)]
-    for tudf in fields:
-        predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
-        loss = term("eikonal_loss", **SPACE)(predicted, tudf)
-        loss.backward()
-        assert value(loss) == 0.0
-        assert_array_equal(predicted.grad.numpy(), 0)
-    nothing = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
-    assert value(Coupled.lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
+def test_nothing_to_learn_is_a_loss_of_zero():
+    sloped = np.full(SHAPE, 2.0, np.float32)
+    sloped[:, -1], sloped[:, :, -1], sloped[..., -1] = 1.0, 1.0, 1.0  # which have no slope
+    for tudf in (np.zeros_like(sloped), sloped, np.ones((2, 4, 1, 5), np.float32)):
+        predicted = random_case(0, tudf.shape)[2]
+        loss = term("eikonal_loss", **SPACE)
+        assert value(loss(torch.from_numpy(predicted), torch.from_numpy(tudf))) == 0.0
+        assert_array_equal(gradient(loss, predicted, tudf), 0)
+    assert value(Coupled.lovasz_loss(torch.full(SHAPE, -50.0), torch.zeros(SHAPE).bool())) == 0
 
 
-def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
-    occupancy = torch.from_numpy(rng.random(SHAPE) < 0.3)
-    logits, predicted, tudf = (
-        torch.from_numpy(rng.normal(1, 1, SHAPE).astype(np.float32)) for _ in range(3)
-    )
+@pytest.mark.parametrize(("loss", "equation", "settings"), LAST_LAWS)
+def test_only_known_voxels_count(loss, equation, settings):
+    """The loss is that of the map without the others; a slope needs the next voxel, too."""
+    fields = [torch.from_numpy(field) for field in case_of(loss, settings, 5)]
     known = torch.zeros(SHAPE, dtype=torch.bool)
-    known[:, :3] = True
-    slopes = known.clone()
-    slopes[:, 2] = False  # a slope needs the next voxel
-    metres = {"near_m": 0.5, "near_weight": 2.0, "beta_m": 0.3}
-    for name, given, over, settings in (
-        ("occupancy_loss", (logits, occupancy), known, {"occupied_weight": 3.0}),
-        ("lovasz_loss", (logits, occupancy), known, {}),
-        ("regression_loss", (predicted, tudf), known, metres),
-        ("eikonal_loss", (predicted, tudf), slopes, SPACE),
-    ):
-        loss = term(name, **settings)
-        part = loss(*(field[:, :3] for field in given))
-        assert value(loss(*given, over)) == pytest.approx(value(part), rel=1e-6)
+    known[:, : 2 if loss == "eikonal_loss" else 3] = True
+    part = term(loss, **settings)(*(field[:, :3] for field in fields))
+    assert value(term(loss, **settings)(*fields, known)) == pytest.approx(value(part), rel=1e-6)
 
 
 # The objective and its weights.
 
-CONFIGS = [
-    LossConfig(),
-    LossConfig(
-        **{"occupancy": 0.3, "tudf": 0.7, "eikonal": 0.9, "lovasz": 0.6, "occupied_weight": 3},
-        **{"near_weight": 4, "near_m": 0.8, "beta_m": 0.2},
-    ),
-    LossConfig(tudf=5.0, eikonal=0.0),
-]
 
-
-@pytest.mark.parametrize("config", CONFIGS)
-@pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
+@pytest.mark.parametrize(
+    "config",
+    [LossConfig(occupancy=0.3, tudf=0.7, eikonal=0.9, lovasz=0.6), LossConfig(tudf=5.0, eikonal=0)],
+)
+@pytest.mark.parametrize("heads", [("logits", "tudf"), ("logits",), ("tudf",)])
 def test_the_objective_is_the_weighted_sum(config, heads):
-    """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
-    space = SPACES[1]
-    logits, occupancy, predicted, tudf = random_case(11, **space)
-    output = Output(
-        logits=None if heads == "tudf" else torch.from_numpy(logits),
-        tudf=None if heads == "logits" else torch.from_numpy(predicted),
-    )
-    wanted, loss = {}, 0.0
-    if output.logits is not None:
-        wanted["occupancy"] = cross_entropy(logits, occupancy, config.occupied_weight)
-        if config.lovasz:
-            wanted["lovasz"] = lovasz_hinge(logits, occupancy)
-        loss += config.occupancy * (wanted["occupancy"] + config.lovasz * wanted.get("lovasz", 0))
-    if output.tudf is not None:
-        near = (config.near_m, config.near_weight, config.beta_m)
-        wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
-        if config.eikonal:
-            wanted["eikonal"] = eikonal(predicted, tudf, **space)
-        slope = config.eikonal * wanted.get("eikonal", 0)
-        loss += config.tudf * (wanted["regression"] + slope)
-    batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
-    found = Coupled(config, GridSpec(**space))(output, batch)
-    assert {name: value(part) for name, part in found.items()} == pytest.approx(
-        {**wanted, "loss": loss}, rel=1e-6
-    )
+    """L = l_occ (L_occ + l_lov L_lov) + l_tudf (L_reg + l_eik L_eik), of what the output has."""
+    logits, occupancy, predicted, tudf = map(torch.from_numpy, random_case(11))
+    objective, outputs = Coupled(config, GridSpec()), {"logits": logits, "tudf": predicted}
+    weights = {
+        "occupancy_loss": config.occupancy,
+        "lovasz_loss": config.occupancy * config.lovasz,
+        "regression_loss": config.tudf,
+        "eikonal_loss": config.tudf * config.eikonal,
+    }
+    expected = {"loss": 0.0}
+    for name, weight in weights.items():
+        head, truth = ("logits", occupancy) if name[0] in "ol" else ("tudf", tudf)
+        if head in heads and weight:
+            loss = value(getattr(objective, name)(outputs[head], truth))
+            expected[name.removesuffix("_loss")] = loss
+            expected["loss"] += weight * loss
+    output = Output(*(outputs[head] if head in heads else None for head in outputs))
+    actual = objective(output, {"occupancy": occupancy, "tudf": tudf})
+    assert {name: value(part) for name, part in actual.items()} == pytest.approx(expected)
 
 
 def test_the_default_weights_are_the_papers():

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lidarsim import GridSpec
 from scenegen.base.errors import ScenegenError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import NetworkConfig, TrainConfig
+from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import input_called
 from tests.command_line import done, example, page, refused, rows, run
+from tests.model.conftest import saved_network
 from tests.model.training.runs import figures, train
 from tests.refusals import refuses, refuses_command
 
@@ -40,9 +42,11 @@ def test_the_page_trains_completes_benches_and_exports(here, capsys):
     assert [words[0] for words in commands] == ["train", "complete", "bench", "export", "complete"]
     for words in commands:
         done(capsys, *words)
-    with h5py.File("predictions/test-00000.h5") as said, h5py.File("again/test-00000.h5") as again:
+    with h5py.File("predictions/test-00000.h5") as first, h5py.File("again/test-00000.h5") as again:
         for name in ("occupancy_probability", "tudf"):
-            assert_allclose(said[name], again[name], atol=5e-2)
+            assert_allclose(again[name], first[name], atol=5e-2)
+    (opened, *_) = Completer.from_pretrained(f"{OWN}@runs/Net").opened
+    assert Completer.from_pretrained(opened).inputs == ("observed", "my_input:rise")
     rows = figures(Path("runs/Net"))
     assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
     other = [word.replace("my_loss:loss", "coupled") for word in commands[0]]
@@ -53,42 +57,19 @@ def test_the_page_trains_completes_benches_and_exports(here, capsys):
     assert Path("runs/wide/best.safetensors").exists()
 
 
-@pytest.fixture
-def trapped(here):
+@pytest.mark.parametrize("network", [{"variant": "trap:Net"}, {"inputs": ["trap:rise"]}], ids=str)
+def test_files_have_nothing_imported_by_themselves(here, capsys, network):
     """A stranger's network that names code in the folder where the user stands."""
-    (here / "trap.py").write_text(
-        "open('sprung', 'w')\nfrom my_net import Net\nfrom my_input import rise\n"
-    )
-    config = TrainConfig(
-        network=NetworkConfig(variant="my_net:Net", inputs=("my_input:rise",)), epochs=1
-    )
-    train([here / "data" / "pillar"], config, here / "run")
-    tensors, header = load_tensors(here / "run" / "best.safetensors")
-    for name, changed in (
-        ("net", {"variant": "trap:Net", "inputs": ["observed"]}),
-        ("input", {"variant": "occ", "inputs": ["trap:rise"]}),
-    ):
-        save_tensors(
-            here / f"{name}.safetensors", tensors, header | {"network": header["network"] | changed}
-        )
-    return here
-
-
-def test_a_file_has_nothing_imported_by_itself(trapped, capsys):
-    for name in ("net", "input"):
-        for path in (f"{name}.safetensors", f"my_net:Net@{name}.safetensors"):
-            refuses(path, Completer.from_pretrained, path, error=CheckpointError)
-    for words in (
-        ("complete", "data/pillar", "--weights"),
-        ("export",),
-        ("train", "--weights"),
-        ("inspect",),
-    ):
-        assert run(capsys, *words, "net.safetensors")[0] == 1
+    (here / "trap.py").write_text("open('sprung', 'w')")
+    saved_network(here / "net.safetensors", GridSpec(shape=(24, 24, 16)))
+    tensors, header = load_tensors(here / "net.safetensors")
+    header["network"] |= network
+    save_tensors(here / "net.safetensors", tensors, header)
+    for path in ("net.safetensors", "my_net:Net@net.safetensors"):
+        refuses((network, path), Completer.from_pretrained, path, error=CheckpointError)
+    for words in ("complete data/pillar --weights", "export", "train --weights", "inspect"):
+        assert run(capsys, f"{words} net.safetensors")[0] == 1
     assert not Path("sprung").exists()
-    found = Completer.from_pretrained("my_net:Net,my_input:rise@run")
-    assert found.opened[0].startswith("my_input:rise,my_net:Net@/")
-    assert Completer.from_pretrained(found.opened[0]).inputs == ("my_input:rise",)
 
 
 WRONG = """
@@ -160,7 +141,7 @@ ASKED = """
 
 
 @pytest.mark.parametrize("asked", [asked for (asked,) in rows(ASKED)])
-def test_what_is_wrong_with_own_code_is_told_in_one_line(here, asked):
+def test_faults_of_own_code_are_refused(here, asked):
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))
     data, run = [here / "data" / "pillar"], here / "run"

@@ -15,9 +15,10 @@ class Result:
     """How a case ended."""
 
     code: int
-    """Exit code; -N for a process ended by signal N."""
+    """Exit code; -1 where the process was ended."""
     seconds: float
-    timed_out: bool = False
+    failure: str = ""
+    """Why the process was ended."""
     left_running: bool = False
     stdout: str = ""
     stderr: str = ""

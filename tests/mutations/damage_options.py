@@ -48,53 +48,40 @@ def attempt(random, valid, here):
     (here / "file").write_text("the user's own\n")
     (here / "folder").mkdir()
     name = random.choice(list(MADE))
-    command = app.registry.find(name)
+    parameters = [
+        parameter
+        for parameter in app.registry.find(name).params
+        if parameter.name not in ("as_json", "quiet")
+    ]
     words = [name, *MADE[name].split()]
-    ends = ("", ".png", ".ply", ".html", ".toml", ".safetensors", ".xml", ".onnx", ".json")
-    done, asked = [], [f"out{end}" for end in ends]
-    parents = []
-    for _ in range(random.choice((1, 1, 2))):
-        parameter = random.choice([p for p in command.params if p.name not in ("as_json", "quiet")])
-        value = _values(parameter, random)
+    damage, makes = [], ["out*"]
+    for parameter in random.choices(parameters, k=random.choice((1, 1, 2))):
+        values = _values(parameter, random)
         if isinstance(parameter, click.Argument):
-            words[1:2] = value if len(words) > 1 else [*value]
+            words[1:2] = values if len(words) > 1 else [*values]
         else:
-            words += [random.choice(parameter.opts), *value]
-        if parameter.name in ("out", "output") and value[0] not in KEPT:
-            wanted = Path(os.path.normpath(value[0]))
-            asked.append(glob.escape(str(wanted)))
-            parents += [glob.escape(str(path)) for path in wanted.parents[:-1]]
-        done.append(f"{parameter.name} = {ascii(value)[:80]}")
+            words += [random.choice(parameter.opts), *values]
+        if parameter.name in ("out", "output") and values[0] not in KEPT:
+            asked = Path(os.path.normpath(values[0]))
+            paths = [glob.escape(str(path)) for path in (asked, *asked.parents[:-1])]
+            makes += [*paths, f"{paths[0]}/*"]
+        damage.append(f"{parameter.name} = {ascii(values)[:80]}")
     if "--keep" in words:
-        parents.append("*/figures-*")
+        makes.append("*/figures-*")
     return Attempt(
-        words=tuple(words),
-        damage="; ".join(done),
-        makes=(*parents, *(pattern for name in asked for pattern in (name, f"{name}/*"))),
-        may_lack_memory=True,
+        words=tuple(words), damage="; ".join(damage), makes=tuple(makes), may_lack_memory=True
     )
+
+
+VALUES = words(
+    "0 -1 2 1.5 1e3 nan inf -inf 1_000 ٣ 0x10 pipe loop file folder d d/dataset.json "
+    "missing/deep/x /dev/null/x file/x /proc/self/mem"
+)
 
 
 def _values(parameter, random):
-    """A value of the option, as words; none for a switch."""
+    """Values of the option, as words; none for a switch."""
     if getattr(parameter, "is_flag", False):
         return []
-    count = parameter.nargs if parameter.nargs > 1 else 1
-    small = (
-        *words("0 -1 2 1.5 1e3 nan inf -inf 1_000"),
-        " 1",
-        "٣",
-        "0x10",
-        "1" * 400,
-    )
-    if isinstance(
-        parameter.type, click.types.IntParamType | click.types.FloatParamType | click.Tuple
-    ):
-        return [random.choice((*small, text(random))) for _ in range(count)]
-    paths = words(
-        "pipe loop file folder d d/dataset.json missing/deep/x /dev/null/x file/x /proc/self/mem"
-    )
-    return [
-        random.choice((*paths, *paths, text(random), str(number(random))[:500]))
-        for _ in range(count)
-    ]
+    odd = " 1", "1" * 400, text(random), str(number(random))[:500]
+    return [random.choice((*VALUES, *odd)) for _ in range(max(parameter.nargs, 1))]

@@ -16,42 +16,31 @@ COVERED = words("observed occupancy ranges position quaternion origin world view
 DERIVED = ("free", "tudf")
 
 
-def print_load(folder):
-    """What `scenegen.load` gives for every split, as a digest; the exit code of a command that did
-    this."""
+def digest_of(folder, *, derived=True):
+    """A digest of what `scenegen.load` gives for every split, `derived` fields too."""
     import scenegen
 
+    digest = hashlib.sha256()
+    for split in SPLITS:
+        for sample in scenegen.load(folder, split=split):
+            for name in COVERED + DERIVED * derived:
+                values = np.asarray(getattr(sample, name))
+                # the bytes of bools, since 2 is not one
+                if values.dtype == np.bool_ and values.view(np.uint8).max(initial=0) > 1:
+                    raise AssertionError(f"{name} holds bools other than 0 and 1")
+                head = f"{name} {values.dtype.str} {values.shape}"
+                digest.update(head.encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+def print_load(folder):
+    """Print that digest; the exit code of a command that did this."""
     try:
-        digest = hashlib.sha256()
-        for split in SPLITS:
-            for sample in scenegen.load(folder, split=split):
-                for name in (*COVERED, *DERIVED):
-                    _add(digest, name, np.asarray(getattr(sample, name)))
+        print(digest_of(folder))
     except ScenegenError as error:
         print(f"scenegen: {error}", file=sys.stderr)
         return 1
-    print(digest.hexdigest())
     return 0
-
-
-def _add(digest, name, values):
-    """Also the bytes of bools, since 2 is not one."""
-    if values.dtype == np.bool_ and values.view(np.uint8).max(initial=0) > 1:
-        raise AssertionError(f"{name} holds bools other than 0 and 1")
-    digest.update(f"{name} {values.dtype.str} {values.shape}".encode() + values.tobytes())
-
-
-def stored(folder, *, derived):
-    """A digest of every shard's fields as HDF5 gives them, `derived` ones too."""
-    found = {}
-    for path in sorted(folder.glob("*.h5")):
-        digest = hashlib.sha256()
-        with h5py.File(path, "r") as file:
-            for name in (*COVERED, *(DERIVED if derived else ())):
-                if name in file:
-                    _add(digest, name, file[name][()])
-        found[path.name] = digest.hexdigest()
-    return found
 
 
 def files_of(folder):
@@ -81,15 +70,3 @@ def sign(folder):
             pass  # too damaged to be signed
         shard["sha256"] = hashlib.sha256((folder / shard["file"]).read_bytes()).hexdigest()
     path.write_text(json.dumps(manifest, indent=1) + "\n")
-
-
-def finite_prediction(path):
-    """What a file of predictions holds: shapes, and whether its numbers can be such."""
-    found = {}
-    with h5py.File(path, "r") as file:
-        for name, most in (("occupancy_probability", 1.0), ("tudf", 2.0)):
-            if name in file:
-                values = file[name][()]
-                fits = ((values >= 0) & (values <= most)).all()  # and no NaN is
-                found[name] = [list(values.shape), bool(fits)]
-    return found

@@ -71,11 +71,8 @@ class Valid:
     folder: Path
     """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scans, maps, a
     plan, and logs: those of ROS where its messages can be written."""
-    loaded: dict[str, str]
-    """What `load` prints of d and of c."""
-    inspected: dict[str, Any]
-    stored: dict[str, dict[str, str]]
-    """Of d and of c, with the derived fields."""
+    loaded: dict[str, dict[bool, str]]
+    """Digests of d and of c, without and with the derived fields."""
     files: dict[str, dict[str, str]]
     scored: dict[str, Any]
     """What `bench --predictions` reports of predictions.h5."""
@@ -109,9 +106,10 @@ def make_valid(folder):
     run(BENCH)
     return Valid(
         folder=folder,
-        loaded={name: _loaded(name) for name in "dc"},
-        inspected={name: json.loads(run(f"inspect {name} --json")) for name in "dc"},
-        stored={name: datasets.stored(folder / name, derived=True) for name in "dc"},
+        loaded={
+            name: {derived: datasets.digest_of(name, derived=derived) for derived in (False, True)}
+            for name in "dc"
+        },
         files={name: datasets.files_of(folder / name) for name in "dc"},
         scored=scores(folder / "bench"),
     )
@@ -183,12 +181,6 @@ def _value(value):
     if isinstance(value, dict):
         return f"{{{', '.join(_lines(value))}}}"
     return json.dumps(value).replace("\\ud800", "\ufffd")
-
-
-def _loaded(name):
-    with contextlib.redirect_stdout(io.StringIO()) as said:
-        assert datasets.print_load(name) == 0
-    return said.getvalue().strip()
 
 
 def _write_networks(folder):

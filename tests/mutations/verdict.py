@@ -2,7 +2,6 @@
 
 import fnmatch
 import re
-import signal
 
 SECONDS = 60.0
 """A case may take so long, by the clock; most take a tenth of a second, but others may be at
@@ -19,12 +18,8 @@ MAX_CHARACTERS = 2000
 
 def verdict(attempt, result):
     """What is wrong with how `attempt` ended: a sentence, or an empty one."""
-    if result.timed_out:
-        return f"had not ended after {SECONDS:.0f} s"
-    if result.code == -signal.SIGXCPU:
-        return f"had not ended after {PROCESSOR_SECONDS} s of computing"
-    if result.code < 0:
-        return f"was ended by signal {-result.code}"
+    if result.failure:
+        return f"the process {result.failure}"
     if result.left_running:
         return "left a process running"
     wrong = _said_well(attempt, result) or _left_well(attempt, result)

@@ -1,4 +1,4 @@
-"""The warm process: it has imported and run everything once, and forks a copy of itself for every
+"""A warm process: it has imported and run everything once, and forks a copy of itself for every
 case."""
 
 import contextlib
@@ -8,34 +8,27 @@ import os
 import resource
 import shutil
 import signal
-import stat
-import sys
 import tempfile
 import time
 import traceback
-from dataclasses import dataclass, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from random import Random
-from typing import Any
-from zlib import crc32
 
+from scenegen.base.errors import GuardError
+from scenegen.base.workers import guarded
+from scenegen.cli.stops import STOPS
 from tests.command_line import code_of
-from tests.mutations.case import Attempt, Result
+from tests.mutations.case import Result
 from tests.mutations.datasets import print_load
+from tests.mutations.formats import FAMILIES
 from tests.mutations.verdict import MEMORY_BYTES, PROCESSOR_SECONDS, SECONDS, verdict
 
 MAX_WRITTEN_BYTES = 512 << 20
 """In one file, lest a case fill the disk."""
-
-
-@dataclass
-class _Running:
-    name: str
-    attempt: Attempt
-    folder: Path
-    before: dict[str, Any]
-    process: int
-    begin: float
 
 
 @dataclass(frozen=True)
@@ -43,135 +36,101 @@ class Ended:
     """A case, how it ended, and what is wrong with that."""
 
     name: str
-    attempt: Attempt
+    words: tuple[str, ...]
+    damage: str
     result: Result
     wrong: str
 
 
-def campaign(names, families, valid, *, seed, jobs, base):
+def campaign(names, valid, *, seed, jobs, base):
     """Run the cases called `names`, `jobs` at a time. Each has a folder under `base`, kept where it
     went wrong or was alone."""
     gc.collect()
     gc.freeze()  # what is collected no more is copied no more
-    waiting = iter(names)
-    running = []
-    while True:
-        while len(running) < jobs and (name := next(waiting, None)):
-            running.append(_start(name, families, valid, seed, base))
-        if not running:
-            return
-        for case in [*running]:
-            ended = _ended(case, keep=len(names) == 1)
-            if ended is not None:
-                running.remove(case)
-                yield ended
-        time.sleep(0.001)
+    case = partial(run_case, valid=valid, seed=seed, base=base, keep=len(names) == 1)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
+        yield from pool.map(case, names)
 
 
-def _start(name, families, valid, seed, base):
+def run_case(name, *, valid, seed, base, keep):
+    """Damage a file, run the command in a copy of this process, and judge how it ended."""
     folder = Path(tempfile.mkdtemp(prefix=name.replace("/", "-") + "-", dir=base))
     here = folder / "here"
     here.mkdir()
     try:
-        attempt = families[name.partition("/")[0]](Random(f"{seed} {name}"), valid, here)
+        attempt = FAMILIES[name.partition("/")[0]](Random(f"{seed} {name}"), valid, here)
     except Exception as error:
         raise RuntimeError(f"{name} with seed {seed} cannot be made") from error
-    before = _look(here)
-    begin = time.monotonic()
-    process = os.fork()
-    if process == 0:
-        _run(attempt, folder)
-    return _Running(name, attempt, folder, before, process, begin)
+    before, begin = _look(here), time.monotonic()
+    ended = {"code": -1}
+    limits = {"seconds": SECONDS, "memory_bytes": MEMORY_BYTES}
+    try:
+        leader, ended = guarded(partial(_run, attempt), folder, **limits)
+        ended["left_running"] = _end_group(leader)
+    except GuardError as error:
+        ended["failure"] = str(error)
+    result = Result(
+        seconds=time.monotonic() - begin,
+        stdout=_read(folder / "out"),
+        stderr=_read(folder / "err"),
+        changed=tuple(sorted({path for path, _ in before.items() ^ _look(here).items()})),
+        folder=here,
+        **ended,
+    )
+    wrong = verdict(attempt, result)
+    if not wrong and not keep:
+        shutil.rmtree(folder, ignore_errors=True)
+    return Ended(name, attempt.words, attempt.damage, result, wrong)
 
 
 def _run(attempt, folder):
-    """The case itself, in a process of its own; does not return."""
-    code = 70
-    try:
-        os.setsid()
-        os.chdir(folder / "here")
-        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        for number, name in ((1, "out"), (2, "err")):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
-            os.dup2(os.open(folder / name, flags, 0o644), number)
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_BYTES
-        (folder / "resident").write_text(str(_resident()))
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_SECONDS, PROCESSOR_SECONDS + 5))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (MAX_WRITTEN_BYTES, MAX_WRITTEN_BYTES))
-        code = _command(attempt.words)
-        if code == 0 and attempt.after is not None:
-            (folder / "after").write_text(json.dumps(attempt.after()))
-        sys.stdout.flush()
-    except BaseException:
-        traceback.print_exc()
-        code = 70
-    finally:
-        with contextlib.suppress(BaseException):
-            sys.stderr.flush()
-        os._exit(code)
+    """The case itself, in a process of its own: its number, and how the case ended."""
+    os.setsid()
+    os.chdir(folder / "here")
+    for limit, value in (
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CPU, PROCESSOR_SECONDS),
+        (resource.RLIMIT_FSIZE, MAX_WRITTEN_BYTES),
+    ):
+        resource.setrlimit(limit, (value, value))
+    before = _max_resident_kb()
+    with (
+        open(os.devnull) as nothing,
+        open(folder / "out", "a", errors="backslashreplace") as out,
+        open(folder / "err", "a") as err,
+    ):
+        for number, file in enumerate((nothing, out, err)):
+            os.dup2(file.fileno(), number)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code, after = 70, None
+            try:
+                is_load = attempt.words[0] == "load"
+                code = print_load(attempt.words[1]) if is_load else code_of(*attempt.words)
+                if code == 0 and attempt.after is not None:
+                    after = json.loads(json.dumps(attempt.after()))
+            except BaseException:
+                traceback.print_exc()
+                code = 70
+    for number in STOPS:  # the command's answers would be printed when this process is ended
+        signal.signal(number, signal.SIG_DFL)
+    grown_bytes = (_max_resident_kb() - before) << 10
+    return os.getpid(), {"code": code, "after": after, "grown_bytes": grown_bytes}
 
 
-def _command(words):
-    return print_load(words[1]) if words[0] == "load" else code_of(*words)
-
-
-def _ended(case, *, keep):
-    seconds = time.monotonic() - case.begin
-    process, status, usage = os.wait4(case.process, os.WNOHANG)
-    timed_out = process == 0 and seconds > SECONDS
-    if process == 0 and not timed_out:
-        return None
-    left = _end_group(case.process)
-    if timed_out:
-        _, status, usage = os.wait4(case.process, 0)
-    here = case.folder / "here"
-    after = case.folder / "after"
-    result = Result(
-        code=os.waitstatus_to_exitcode(status),
-        seconds=seconds,
-        timed_out=timed_out,
-        left_running=left and not timed_out,
-        stdout=_read(case.folder / "out"),
-        stderr=_read(case.folder / "err"),
-        after=json.loads(after.read_text()) if after.exists() else None,
-        grown_bytes=(usage.ru_maxrss << 10) - int(_read(case.folder / "resident") or 1 << 62),
-        folder=here,
-    )
-    now = _look(here)
-    names = sorted(name for name in {*case.before, *now} if case.before.get(name) != now.get(name))
-    result = replace(result, changed=tuple(names))
-    wrong = verdict(case.attempt, result)
-    if not wrong and not keep:
-        shutil.rmtree(case.folder, ignore_errors=True)
-    return Ended(case.name, case.attempt, result, wrong)
+def _max_resident_kb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _end_group(leader):
-    """Kill what is left of a case; whether anything besides its leader was."""
-    for attempt in range(20):  # guarded processes notice within 0.2 s that their parent has gone
+    """Kill what is left of a case; whether anything was."""
+    for _ in range(15):  # guarded processes notice within 0.2 s that their parent has gone
         try:
-            os.killpg(leader, 0 if attempt < 15 else signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):
+            os.killpg(leader, 0)
+        except ProcessLookupError:
             return False
-        if attempt == 0 and _is_running(leader):
-            os.killpg(leader, signal.SIGKILL)
-            return True
         time.sleep(0.04)
+    os.killpg(leader, signal.SIGKILL)
     return True
-
-
-def _is_running(process):
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except OSError:
-        return False
-
-
-def _resident():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _read(path):
@@ -183,14 +142,13 @@ def _read(path):
 
 
 def _look(folder):
-    """Everything in `folder`: kind, and content where it is a file."""
+    """Everything in `folder`: kind, and content where it is a file or a link."""
     found = {}
-    for root, folders, files in os.walk(folder):
-        for name in [*folders, *files]:
-            path = Path(root) / name
-            status = path.lstat()
-            kind = stat.S_IFMT(status.st_mode)
-            content = path.read_bytes() if stat.S_ISREG(kind) and status.st_size < 1 << 26 else b""
-            target = str(path.readlink()) if stat.S_ISLNK(kind) else ""
-            found[str(path.relative_to(folder))] = (kind, crc32(content), target, status.st_rdev)
+    for path in folder.rglob("*"):
+        status, content = path.lstat(), b""
+        if path.is_symlink():
+            content = os.fsencode(path.readlink())
+        elif path.is_file() and status.st_size < 1 << 26:
+            content = path.read_bytes()
+        found[str(path.relative_to(folder))] = status.st_mode, hash(content)
     return found

@@ -25,10 +25,10 @@ def drawn_unit(recipe, unit=0, *, seed=0, split="train"):
     return draw_unit(DrawnWorlds(recipe), recipe, seed=seed, split=split, unit=unit)
 
 
-def same(one, other):
+def same(first, second):
     """Whether two samples have the same fields, of whatever group, bit for bit and of the same
     type."""
-    pairs = ((np.asarray(getattr(it, name)) for it in (one, other)) for name in FIELDS)
+    pairs = ((np.asarray(getattr(sample, name)) for sample in (first, second)) for name in FIELDS)
     return all((a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()) for a, b in pairs)
 
 

@@ -29,9 +29,7 @@ class Repository:
         return self.head if revision in (None, "main") else self.tags.get(revision, revision)
 
     def commit(self, files):
-        listing = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
-        said = json.dumps([self.head, sorted(listing.items())])
-        self.head = hashlib.sha1(said.encode()).hexdigest()
+        self.head = hashlib.sha1(repr([self.head, sorted(files.items())]).encode()).hexdigest()
         self.commits[self.head] = dict(files)
         return self.head
 
@@ -50,12 +48,8 @@ class Hub:
         """Large files after which the next ones are refused."""
         self.lose = None
         """A file that is dropped from commits."""
-        hub = self
-
-        class Handler(_Handler):
-            server_hub = hub
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
+        self._server.hub = self
         self.url = f"http://127.0.0.1:{self._server.server_port}"
         threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
 
@@ -71,21 +65,10 @@ class Hub:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server_hub: Hub
     protocol_version = "HTTP/1.1"
 
     def log_message(self, *args):
         pass
-
-    def _body(self):
-        if self.headers.get("Transfer-Encoding") == "chunked":
-            parts = []
-            while size := int(self.rfile.readline(), 16):
-                parts.append(self.rfile.read(size))
-                self.rfile.readline()
-            self.rfile.readline()
-            return b"".join(parts)
-        return self.rfile.read(int(self.headers.get("Content-Length") or 0))
 
     def _answer(self, content, status=200, **headers):
         sent = content if isinstance(content, bytes) else json.dumps(content).encode()
@@ -97,13 +80,13 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(sent)
 
-    def _refuse(self, status, said, code=""):
-        more = {"X_Error_Code": code, "X_Error_Message": said} if code else {}
-        self._answer({"error": said}, status, **more)
+    def _refuse(self, status, message, code=""):
+        headers = {"X_Error_Code": code, "X_Error_Message": message} if code else {}
+        self._answer({"error": message}, status, **headers)
 
     def _handle(self):
-        hub, path = self.server_hub, unquote(urlsplit(self.path).path)
-        body = self._body()
+        hub, path = self.server.hub, unquote(urlsplit(self.path).path)
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         hub.log.append(f"{self.command} {path}")
         token = (self.headers.get("Authorization") or "").removeprefix("Bearer ")
         if token:
@@ -120,15 +103,14 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def create(page, hub, body):
-    asked = json.loads(body)
-    name = f"{asked['organization']}/{asked['name']}"
-    there = name in hub.repositories
-    if not there:
-        hub.repositories[name] = Repository(
-            private=asked.get("visibility") == "private" or bool(asked.get("private"))
-        )
+    fields = json.loads(body)
+    name = f"{fields['organization']}/{fields['name']}"
+    is_there = name in hub.repositories
+    if not is_there:
+        private = "private" in (fields.get("visibility"), fields.get("private") and "private")
+        hub.repositories[name] = Repository(private=private)
         hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
-    page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if there else 200)
+    page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if is_there else 200)
 
 
 def _known(page, hub, name, revision="main"):
@@ -155,9 +137,9 @@ def info(page, hub, body, name, revision=None):
     if files is None:
         return
     repository = hub.repositories[name]
+    facts = {"id": name, "sha": repository.sha(revision), "private": repository.private}
     siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
-    said = {"id": name, "sha": repository.sha(revision), "private": repository.private}
-    page._answer(said | {"siblings": siblings, "tags": []})
+    page._answer(facts | {"siblings": siblings, "tags": []})
 
 
 def tree(page, hub, body, name, revision):
@@ -168,35 +150,33 @@ def tree(page, hub, body, name, revision):
 
 def refs(page, hub, body, name):
     if _known(page, hub, name) is not None:
-        found = hub.repositories[name]
+        repository = hub.repositories[name]
         tags = [
             {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
-            for tag, sha in found.tags.items()
+            for tag, sha in repository.tags.items()
         ]
-        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": found.head}
+        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repository.head}
         page._answer({"branches": [main], "converts": [], "tags": tags})
 
 
 def preupload(page, hub, body, name, revision):
-    there = _known(page, hub, name, revision)
-    if there is None:
+    files_there = _known(page, hub, name, revision)
+    if files_there is None:
         return
-    found = []
-    for asked in json.loads(body)["files"]:
-        path = asked["path"]
-        entry = _entry(path, there[path]) if path in there else {}
+    answers = []
+    for path in [file["path"] for file in json.loads(body)["files"]]:
+        entry = _entry(path, files_there[path]) if path in files_there else {}
         mode = "lfs" if path.endswith(LARGE) else "regular"
         oid = entry.get("lfs", entry).get("oid")
-        found.append({"path": path, "uploadMode": mode, "shouldIgnore": False, "oid": oid})
-    page._answer({"files": found})
+        answers.append({"path": path, "uploadMode": mode, "shouldIgnore": False, "oid": oid})
+    page._answer({"files": answers})
 
 
 def batch(page, hub, body, name):
-    objects = []
-    for asked in json.loads(body)["objects"]:
-        if asked["oid"] not in hub.blobs:
-            asked["actions"] = {"upload": {"href": f"{hub.url}/lfs/{asked['oid']}"}}
-        objects.append(asked)
+    objects = json.loads(body)["objects"]
+    for file in objects:
+        if file["oid"] not in hub.blobs:
+            file["actions"] = {"upload": {"href": f"{hub.url}/lfs/{file['oid']}"}}
     page._answer({"transfer": "basic", "objects": objects})
 
 
@@ -230,10 +210,10 @@ def commit(page, hub, body, name, revision):
 
 def tag(page, hub, body, name, revision):
     repository = hub.repositories[name]
-    asked = json.loads(body)["tag"]
-    if asked in repository.tags:
+    name_of_tag = json.loads(body)["tag"]
+    if name_of_tag in repository.tags:
         return page._refuse(409, "tag is there")
-    repository.tags[asked] = repository.sha(revision)
+    repository.tags[name_of_tag] = repository.sha(revision)
     page._answer({})
 
 

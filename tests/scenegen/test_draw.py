@@ -1,5 +1,6 @@
 """Laws of a unit's samples: what was seen is there, and what was drawn once is drawn again."""
 
+import dataclasses
 import json
 from collections import Counter
 
@@ -8,7 +9,8 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from tests.conftest import picky_recipe, small_recipe
-from tests.scenegen import cases, refuses
+from tests.refusals import refuses
+from tests.scenegen import cases
 from tests.scenegen.conftest import drawn_unit, same
 
 
@@ -28,14 +30,14 @@ def test_a_unit_depends_on_its_numbers_alone(drawn):
 def test_viewpoints_are_level_apart_and_clear_of_solids(drawn):
     recipe, _ = drawn
     for unit in range(3):
-        found = drawn_unit(recipe, unit)
-        positions = np.array([sample.position for sample in found.samples])
+        drawn = drawn_unit(recipe, unit)
+        positions = np.array([sample.position for sample in drawn.samples])
         assert pdist(positions).min() >= recipe.flight.spacing_m
-        low, high = found.world.flight_bounds
+        low, high = drawn.world.flight_bounds
         assert ((positions >= low) & (positions <= high)).all()
-        for sample in found.samples:
+        for sample in drawn.samples:
             assert sample.quaternion[1] == sample.quaternion[2] == 0
-            clear = found.world.clearance.at(*sample.position)  # which test_clearance proves
+            clear = drawn.world.clearance.at(*sample.position)  # which test_clearance proves
             assert clear >= recipe.flight.robot_radius_m - 2e-3
 
 
@@ -52,9 +54,8 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     assert rejected["few_occupied"] + rejected["few_returns"] > 0
 
 
-@pytest.mark.parametrize(("tables", "named"), cases("draw"))
-def test_impossible_parameters_end_and_are_named(tables, named):
-    tables = {"accept": {}} | json.loads(tables)
-    tables["accept"]["max_draws"] = 4
-    recipe = small_recipe(**tables)
-    refuses(named, drawn_unit, recipe)
+@pytest.mark.parametrize("tables", [tables for (tables,) in cases("draw")])
+def test_impossible_parameters_end_and_are_named(tables):
+    recipe = small_recipe(**json.loads(tables))
+    accept = dataclasses.replace(recipe.accept, max_draws=4)
+    refuses(tables, drawn_unit, dataclasses.replace(recipe, accept=accept))

@@ -1,67 +1,22 @@
 """A path is recognised by its name, its files and its first bytes; what is unknown is refused."""
 
-import json
 import zipfile
 
 import pytest
 
 from lidarsim.registry import Registry
-from scenegen.base.errors import DatasetError
 from scenegen.base.paths import SCANS, TYPES, check_type, open_path, type_of, what_is
 from scenegen.worlds.clouds import READERS
-from tests.command_line import refused
+from tests.refusals import refuses, refuses_command
+from tests.scenegen import cases
 
-FILES = {
-    "a/dataset.json": "",
-    "mixed/collection.json": "",
-    "few.json": '{"format": "scenegen-selection"',
-    "predicted/predictions.json": "",
-    "run/metrics.csv": "",
-    "drive/poses.txt": "",
-    "bag/metadata.yaml": "",
-    "sequences/07/velodyne/000000.bin": "",
-    "poses/07.txt": "",
-    "recorded/one.db3": "",
-    "clouds/deep/1.ply": "",
-    "flights.json": '{"format": 1, "scenegen": "0.2.0"}',
-    "other.json": "{}",
-    "notes.txt": "",
-    "none": "",
-    "broken.npz": "PK",
-}
-EXPECTED = {
-    ".": "datasets",
-    "a": "dataset",
-    "mixed": "collection",
-    "few.json": "selection",
-    "predicted": "predictions",
-    "done.h5": "predictions",
-    "run": "run",
-    "drive": "log",
-    "bag": "log",
-    "sequences/07": "log",
-    "recorded": "log",
-    "x.mcap": "log",
-    "clouds": "scans",
-    "campus.bt": "map",
-    "hall.npz": "map",
-    "broken.npz": "scan",
-    "scan.pcd.bin": "scan",
-    "SCAN.PLY": "scan",
-    "forest.xml": "world",
-    "chair.glb": "mesh",
-    "lab.yaml": "plan",
-    "net.safetensors": "weights",
-    "flights.json": "flights",
-    "rooms.toml": "recipe",
-    "hf://ada/pillar": "dataset",
-    "s3://bucket/folder": "dataset",
-}
+EXPECTED = dict(cases("types"))
+"""Types of paths, some of which are there."""
 
 
 @pytest.fixture
 def here(tmp_path):
-    for name, text in FILES.items():
+    for name, text in cases("files"):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
@@ -91,25 +46,16 @@ def test_scans_are_what_readers_read():
 @pytest.mark.parametrize("name", ["notes.txt", "other.json", "none", "poses", "absent", "rum"])
 def test_an_unknown_path_is_refused_in_one_line(here, name):
     assert type_of(here / name) is None
-    with pytest.raises(DatasetError) as error:
-        what_is(here / name)
-    line = str(error.value)
-    assert name in line
-    assert "\n" not in line
-    assert ("did you mean" in line) == (name == "rum")
-    assert all(other in line for other in TYPES) == (here / name).exists()
+    refuses(name, what_is, here / name)
 
 
 def test_another_type_than_expected_is_named(here, capsys):
     check_type(here / "a", "dataset")
     check_type(here / "poses", "dataset")
-    assert "known are " in refused(capsys, f"inspect {here}/notes.txt")
     for words in ("verify", "bench", "convert --to ply", "train"):
-        line = refused(capsys, f"{words} {here}/run")
-        assert "is of type run" in line
-        assert "expected dataset" in line
+        refuses_command(capsys, f"{words} {here}/run")
     for words in ("inspect", "render", "view -o x.html"):
-        assert "is of type weights" in refused(capsys, f"{words} {here}/net.safetensors")
+        refuses_command(capsys, f"{words} {here}/net.safetensors")
 
 
 def test_a_path_is_opened_by_its_type(here):
@@ -117,4 +63,3 @@ def test_a_path_is_opened_by_its_type(here):
         with pytest.raises(Exception, match=name):
             open_path(here / name)
     assert open_path(here / "clouds") == [here / "clouds/deep/1.ply"]
-    assert json.loads((here / "other.json").read_text()) == {}

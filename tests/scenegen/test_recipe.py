@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import json
 import random
-import re
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -22,7 +21,7 @@ from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import make_recipe, preset, read_recipe
-from tests.scenegen import cases, refuses
+from tests.refusals import refuses
 
 NASTY = """nasty = [
 0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
@@ -83,14 +82,13 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             lines.add(str(error))
             outcome["refused"] += 1
             continue
-        found = manifest_of(recipe)
-        checked = parse(found)
+        manifest = manifest_of(recipe)
+        checked = parse(manifest)
         assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world.max_solids() <= MAX_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
-            (tmp_path / NAME).write_bytes(found)
-            contract = read_contract(tmp_path, Ledger())
-            assert contract.recipe == recipe
+            (tmp_path / NAME).write_bytes(manifest)
+            assert read_contract(tmp_path, Ledger()).recipe == recipe
         outcome["made"] += 1
     assert outcome["refused"] > 300
     assert outcome["made"] > 200
@@ -113,13 +111,13 @@ def test_every_preset_keeps_its_own_rules_and_reads_back(kind):
 def test_whole_numbers_and_floats_make_the_same_dataset():
     """A recipe says 1 or 1.0; the manifest, and so the dataset's fingerprint, says one of them."""
 
-    def found(whole, exact):
+    def manifest(whole, exact):
         grid = {"voxel_m": exact(1), "shape": [whole(8)] * 3}
         world, flight = {"density": [exact(0), exact(1)]}, {"viewpoints": whole(2)}
         tables = {"grid": grid, "world": world, "flight": flight}
         return manifest_of(make_recipe("pillar", tables, where="test"))
 
-    assert found(int, float) == found(float, int)
+    assert manifest(int, float) == manifest(float, int)
 
 
 def test_all_sorts_of_solids_are_counted_together():
@@ -129,13 +127,7 @@ def test_all_sorts_of_solids_are_counted_together():
         make_recipe("geometric", {"world": world}, where="test")
     for one, other in itertools.combinations(alone, 2):
         tables = {"world": one | other | {"clutter_count": [0, 18]}}
-        refuses(
-            r"solids in a world of .* expected 20000 at most",
-            make_recipe,
-            "geometric",
-            tables,
-            where="test",
-        )
+        refuses([*one, *other], make_recipe, "geometric", tables, where="test")
 
 
 def test_a_parameter_without_default_is_asked_for(monkeypatch):
@@ -144,14 +136,14 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch):
         posts: int
 
     monkeypatch.setattr("scenegen.worlds.recipe.find_kind", lambda name: Bare)
-    refuses(r"^test: \[world\] posts: is missing", make_recipe, "pillar", {}, where="test")
+    refuses("posts", make_recipe, "pillar", {}, where="test")
     assert make_recipe("pillar", {"world": {"posts": 3}}, where="test").world.posts == 3
 
 
 def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
     lines = f"[{'a.' * 200}a]\n" + "".join(f"k{n:05d}=1\n" for n in range(6_000))
     (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
-    refuses("unknown table 'a'", read_recipe, tmp_path / "r.toml")
+    refuses("deep", read_recipe, tmp_path / "r.toml")
 
 
 def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
@@ -161,20 +153,16 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     path = tmp_path / "r.toml"
     path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')
     assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)
-    for kind, level, told in (
-        ("pillar", "harder", "expected one of easy, hard, medium"),
-        ("scene", "hard", "worlds from MJCF files have none"),
-    ):
-        refuses(told, make_recipe, kind, {"difficulty": level}, where="test")
-    refuses(
-        "has difficulty, and --difficulty is given beside it", read_recipe, path, difficulty="easy"
-    )
+    for kind, level in (("pillar", "harder"), ("scene", "hard")):
+        refuses(kind, make_recipe, kind, {"difficulty": level}, where="test")
+    refuses("twice", read_recipe, path, difficulty="easy")
 
 
-@pytest.mark.parametrize(("level", "density", "told"), cases("recipe"))
-def test_a_difficulty_whose_values_are_anothers_is_refused(level, density, told):
-    tables = {"difficulty": level, "world": {"density": json.loads(density)}}
-    if told:
-        refuses(re.escape(told), make_recipe, "clutter", tables, where="test")
-    else:
-        assert make_recipe("clutter", tables, where="test").difficulty == level
+def test_a_difficulty_whose_values_are_anothers_is_refused():
+    def make(level, density):
+        tables = {"difficulty": level, "world": {"density": density}}
+        return make_recipe("clutter", tables, where="test")
+
+    refuses("medium", make, "hard", [0.02, 0.08])
+    refuses("hard", make, "easy", [0.05, 0.5])
+    assert make("hard", [0.02, 0.081]).difficulty == "hard"

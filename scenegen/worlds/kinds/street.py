@@ -1,4 +1,4 @@
-"""A street: two rows of houses with relief, and what stands, hangs and parks between them."""
+"""A street: two rows of houses with relief, and lamps, wires and cars between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

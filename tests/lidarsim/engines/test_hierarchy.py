@@ -11,6 +11,7 @@ from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.solids import solids_of
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import model_of
+from tests.refusals import refuses
 
 KINDS = ("scattered", "coincident", "on a line", "ever farther")
 
@@ -26,28 +27,39 @@ def centres(rng, count, kind):
     return places
 
 
+def crowd(count, places=None):
+    """As many unit balls, (count, 3), or all 5 m ahead."""
+    ball = solids_of(model_of('size="1" pos="5 0 0"'))
+    names = ("shape", "size", "position", "rotation", "lower", "upper")
+    many = {name: np.repeat(getattr(ball, name), count, axis=0) for name in names}
+    if places is not None:
+        many |= {"position": places, "lower": places - 1, "upper": places + 1}
+    return replace(ball, **many, geom=np.arange(count))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", [1, 5, 300])
 def test_rays_meet_the_nearest_of_all(kind, count):
-    rng = np.random.default_rng(count)
-    one = solids_of(model_of('type="sphere" size="1"'))
-    fields = ("shape", "size", "position", "rotation", "lower", "upper")
-    many = {name: np.repeat(getattr(one, name), count, axis=0) for name in fields}
-    engine, rays = None, reference.unit(rng.normal(size=(2000, 3)))
+    rng, engine = np.random.default_rng(count), None
+    rays = reference.unit(rng.normal(size=(2000, 3)))
     for _ in range(2):  # as built, and as moved
-        places = centres(rng, count, kind)
-        places += rng.uniform(-3, 3, places.shape)
-        rays[:count] = reference.unit(places)[: len(rays)]
-        many |= {"position": places, "lower": places - 1, "upper": places + 1}
-        solids = replace(one, **many, geom=np.arange(count))
+        places = centres(rng, count, kind) + rng.uniform(-3, 3, (count, 3))
+        rays[:count] = reference.unit(places)
+        solids = crowd(count, places)
         if engine is None:
             engine = AnalyticEngine(solids)
         else:
             engine.move(solids)
         near, far = reference.interval("sphere", [1.0], -places, rays[:, None])
         first = np.where(near > 0, near, np.where(far > 0, far, np.inf)).min(axis=1)
-        found = engine.cast(np.zeros((1, 3)), rays[None], np.inf)[0]
-        assert_allclose(found, first, rtol=1e-9, atol=1e-4)
+        ranges = engine.cast(np.zeros((1, 3)), rays[None], np.inf)[0]
+        assert_allclose(ranges, first, rtol=1e-9, atol=1e-4)
+
+
+def test_of_many_as_near_the_first_is_met():
+    hits = AnalyticEngine(crowd(100_000)).hits([[0.0, 0.0, 0.0]], [[[1.0, 0.0, 0.0]]], 10.0)
+    assert (hits.ranges, hits.geoms) == (4.0, 0)
+    refuses("a crowd in place of one", AnalyticEngine(crowd(1)).move, crowd(2))
 
 
 def test_neighbours_share_leaves(rng):

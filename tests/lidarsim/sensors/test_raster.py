@@ -15,16 +15,16 @@ from tests.refusals import refuses
     ("rows", "columns", "vertical", "pitch"),
     [(16, 120, 60.0, 30.0), (2, 1, 10.0, 0.0), (32, 9, 90.0, -20.0), (3, 90, 0.5, 90.0)],
 )
-def test_every_ray_follows_the_layout_at_any_attitude(rows, columns, vertical, pitch, mount):
-    """Against `reference.lidar_directions`: products of scipy rotations, restated from the
-    specification. A single column looks straight ahead."""
-    quaternion = reference.random_quaternion(np.random.default_rng(rows))
-    given = {"rows": rows, "vertical_fov_deg": vertical, "pitch_deg": pitch, "mount": mount}
-    lidar = Lidar(columns=columns, **given)
-    expected = reference.lidar_directions(quaternion, columns=max(columns, 2), **given)
-    if columns == 1:  # of two columns, the second is at azimuth 0
-        expected = expected[:, 1:]
-    assert_allclose(rotate(quaternion, lidar.directions_body), expected, rtol=0, atol=1e-14)
+def test_every_ray_follows_the_layout(rows, columns, vertical, pitch, mount, rng):
+    """At any attitude, against `reference.lidar_directions`: products of scipy rotations, restated
+    from the specification. A single column looks straight ahead."""
+    quaternion = reference.random_quaternion(rng)
+    layout = {"rows": rows, "vertical_fov_deg": vertical, "pitch_deg": pitch, "mount": mount}
+    rays = Lidar(columns=columns, **layout).directions_body
+    expected = reference.lidar_directions(quaternion, columns=max(columns, 2), **layout)
+    # of two columns, the second is at azimuth 0
+    expected = expected[:, -columns:]
+    assert_allclose(rotate(quaternion, rays), expected, rtol=0, atol=1e-14)
 
 
 def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
@@ -33,17 +33,18 @@ def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
     assert_allclose(np.degrees(np.arctan2(y, x)), [-45, -15, 15, 45], atol=1e-12)
 
 
-def test_a_level_pose_and_one_that_faces_a_direction_are_turned_by_its_angle(rng):
+def test_poses_are_turned_by_the_angle_they_face(rng):
     place = (1.0, -2.0, 3.5)
     plain = [(1, 0), (0, 1), (-1, 0), (-1, -1e-300), (-1, 1e-9), (1e-9, -1), (-6e80, -8e80)]
     for x, y in [*plain, *rng.normal(size=(100, 2)).tolist()]:
-        turn = reference.Rotation.from_euler("z", np.arctan2(y, x)).as_matrix()
-        for pose in (Pose.facing(place, (x, y)), Pose.level(place, np.arctan2(y, x))):
+        angle = np.arctan2(y, x)
+        turn = reference.Rotation.from_euler("z", angle).as_matrix()
+        for pose in (Pose.facing(place, (x, y)), Pose.level(place, angle)):
             assert_array_equal(pose.position, place)
-            found = reference.rotation(pose.quaternion).as_matrix()
-            assert_allclose(found, turn, rtol=0, atol=1e-15)
+            actual = reference.rotation(pose.quaternion).as_matrix()
+            assert_allclose(actual, turn, rtol=0, atol=1e-15)
     for nowhere in ((0.0, 0.0), (np.nan, 1.0), (np.inf, 0.0)):
-        refuses(nowhere, Pose.facing, (0.0, 0.0, 0.0), nowhere)
+        refuses(nowhere, Pose.facing, place, nowhere)
 
 
 def test_a_bad_pose_is_refused_by_name():

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from scenegen.base.errors import DatasetError
 from scenegen.model.bench import calibrate as module
-from scenegen.model.bench.calibrate import calibrate
+from scenegen.model.bench.calibrate import calibrate, count_logits, fit_temperature
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
@@ -32,28 +32,30 @@ def weights(dataset, tmp_path, monkeypatch):
 
 def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     before = load_network(weights)[0].state_dict()
-    sure, done = tmp_path / "sure.safetensors", {"split": "test"}
-    found = calibrate(weights, [dataset], sure, **done)
-    network, _, about = load_network(sure)
-    assert Calibration.of(about) == found
-    assert {name: value for name, value in about.items() if name != KEY} == TRAINED
-    assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
-    assert (found.worlds, found.class_weight) == (3, 5.0)
-    assert found.datasets == (str(dataset.manifest.digest),)
-    again = calibrate(sure, [dataset], weights, **done, execute=Backwards("", 1))
-    assert again == found  # it depends neither on what was there nor on where it is done
+    out, samples = tmp_path / "sure.safetensors", dataset.split("test")
+    calibration = calibrate(weights, [dataset], out, split="test")
+    network, _, about = load_network(out)
+    assert Calibration.of(about) == calibration
+    del about[KEY]
+    assert about == TRAINED
+    torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
+    assert (calibration.worlds, calibration.class_weight) == (3, 5.0)
+    assert calibration.datasets == (str(dataset.manifest.digest),)
+    # it depends neither on what was there nor on where it is done
+    backwards = Backwards("", 1)
+    again = calibrate(out, [dataset], weights, split="test", execute=backwards)
+    assert again == calibration
 
-    completer = Completer.from_pretrained(sure)
-    samples = dataset.split("test")
-    said = completer(samples[0].observed)
+    completer = Completer.from_pretrained(out)
     away, _ = predict_split(completer, dataset, "test", tmp_path / "p")
-    assert away == [completer(one.observed).away for one in samples]
+    assert away == [completer(sample.observed).away for sample in samples]
     assert max(away) < 1  # it was calibrated on these
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
-        assert_allclose(file["probability"][0], said.probability, atol=1e-5)
+        expected = completer(samples[0].observed).probability
+        assert_allclose(file["probability"][0], expected, atol=1e-5)
 
 
-def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
+def test_stored_probabilities_are_judged(dataset, weights, tmp_path, undrawn):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
@@ -65,26 +67,45 @@ def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
     assert report["reliability"]["pillar"]["p"]["map"]["calibrated"]["ece"] == 0.0
 
 
-def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypatch):
+@pytest.mark.parametrize("weight", [None, 0])
+def test_untold_class_weights_are_refused(dataset, weights, tmp_path, weight):
     odd = tmp_path / "odd.safetensors"
-    for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
-        saved_network(odd, dataset.grid, about)
-        refuses(about, calibrate, odd, [dataset], weights, error=CheckpointError)
+    saved_network(odd, dataset.grid, {"settings": {"loss": {"occupied_weight": weight}}})
+    refuses(weight, calibrate, odd, [dataset], weights, error=CheckpointError)
+
+
+def test_what_cannot_be_calibrated_is_refused(dataset, weights, tmp_path, monkeypatch):
+    odd, out = tmp_path / "odd.safetensors", tmp_path / "none.safetensors"
     saved_network(odd, dataset.grid, TRAINED, variant="tudf")
-    refuses("tudf", calibrate, odd, [dataset], weights, error=CheckpointError)
+    refuses("tudf", calibrate, odd, [dataset], out, error=CheckpointError)
     saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1, "temperature": 1.0}})
     refuses("damaged", Completer.from_pretrained, odd, error=CheckpointError)
     more = {"split": "test", "error": DatasetError}
-    refuses("twice", calibrate, weights, [dataset] * 2, tmp_path / "none.safetensors", **more)
+    refuses("twice", calibrate, weights, [dataset] * 2, out, **more)
     monkeypatch.setattr(module, "MIN_WORLDS", 20)
-    refuses("few", calibrate, weights, [dataset], tmp_path / "none.safetensors", **more)
-    assert not (tmp_path / "none.safetensors").exists()
+    refuses("few", calibrate, weights, [dataset], out, **more)
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("name", ["net.onnx", "proposed"])
-def test_bad_use_of_the_command_leaves_nothing(dataset, tmp_path, monkeypatch, capsys, name):
+def test_bad_use_leaves_nothing(dataset, tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "net.onnx").write_bytes(b"")
     (tmp_path / "d").symlink_to(dataset.folder)
     refuses_command(capsys, f"calibrate {name} d --workers 1 --quiet")
     assert {path.name for path in tmp_path.iterdir()} == {"net.onnx", "d"}
+
+
+@pytest.mark.parametrize("temperature", [0.5, 2.5])
+def test_known_temperatures_are_fitted(temperature, rng):
+    """Of one that is as sure again, or less, by a weight of 5; and of maps that have its root. Only
+    unknown voxels count."""
+    logit = rng.normal(-1, 2, 200_000)
+    occupied = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
+    weighted = (1 / (1 + np.exp(-(temperature * logit + np.log(5))))).astype(np.float32)
+    unknown = np.arange(len(logit)) % 3 > 0
+    counts = count_logits(weighted, occupied ^ ~unknown, unknown, 5.0)
+    assert counts.sum() == unknown.sum()
+    for power in (1, 0.5):
+        fitted = fit_temperature(counts[None], np.array([power])) ** power
+        assert fitted == pytest.approx(temperature, rel=0.03)

@@ -28,41 +28,36 @@ def measured(made):
     return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
 
 
-def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
-    measured, monkeypatch
-):
+def test_the_page_holds_figures_and_runs_nothing(measured, monkeypatch):
+    """Both tables, the paper's, and pictures."""
     monkeypatch.setattr("scenegen.view.panels.DPI", 40)
     result, _, methods = measured
     name, trials = failing(result)
     assert name == HOSTILE
     assert 0 < len({result.trial_worlds[n] for n in trials}) == len(trials) <= 3
-    pictures = draw_failures(result, methods)
-    assert len(pictures) == len(trials)
     report = build_report([result], seed=0, about={"command": HOSTILE})
-    charts = draw_charts(report, result.kind)
-    pictures += charts
+    failures = draw_failures(result, methods)
+    assert len(failures) == len(trials)
+    pictures = failures + draw_charts(report, result.kind)
     assert all(image.startswith(b"RIFF") for _, image in pictures)
-    seen = Seen(to_html(report, {result.kind: pictures}))
+    page = Seen(to_html(report, {result.kind: pictures}))
     running = {"script", "iframe", "object", "embed", "link", "a"}
-    assert not {tag for tag, *_ in seen.found} & running
-    assert not any(
-        name.startswith("on") or name == "href" for _, names, _ in seen.found for name in names
-    )
-    images = [names["src"] for tag, names, _ in seen.found if tag == "img"]
+    assert not {tag for tag, *_ in page.found} & running
+    attributes = {name for _, names, _ in page.found for name in names}
+    assert not {name for name in attributes if name.startswith("on") or name == "href"}
+    images = [names["src"] for tag, names, _ in page.found if tag == "img"]
     assert len(images) == len(pictures)
     assert all(str(source).startswith("data:image/webp;base64,") for source in images)
-    said = " ".join(text for *_, text in seen.found)
-    assert said.count(HOSTILE) >= 4  # the command, a row of each table, failures
+    text = " ".join(text for *_, text in page.found)
+    assert text.count(HOSTILE) >= 4  # the command, a row of each table, failures
     for table, metrics in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
-        for row in report[table][result.kind].values():
-            for metric in metrics:
-                if row[metric]["n"]:
-                    assert f"{row[metric]['mean']:.3f}" in said
-    for row in (row for part in PAPER.values() for row in part[result.kind].values()):
-        assert all(f"{mean:.3f}" in said for mean, *_ in row.values())
+        rows = report[table][result.kind].values()
+        means = [row[name]["mean"] for row in rows for name in metrics if row[name]["n"]]
+        papers = [mean for row in PAPER[table][result.kind].values() for mean, *_ in row.values()]
+        assert [mean for mean in means + papers if f"{mean:.3f}" not in text] == []
 
 
-def test_the_papers_figures_stand_beside_how_presets_were_tuned(measured):
+def test_the_papers_figures_say_how_presets_were_tuned(measured):
     """Whatever prints them; a kind that the paper does not have says nothing of it."""
     report = build_report([measured[0]], seed=0, about={})
     assert to_markdown(report).count(TUNED) == 1
@@ -73,18 +68,16 @@ def test_the_papers_figures_stand_beside_how_presets_were_tuned(measured):
     assert "paper" not in to_markdown(other) + body
 
 
-def test_the_best_is_the_best_as_printed_and_never_the_truth():
-    def rows(**means):
-        return {
-            name: {"x": {"mean": mean, "n": 0 if mean is None else 1}}
-            for name, mean in means.items()
-        }
-
-    higher, lower, near = (
-        dataclasses.replace(METRICS["iou"], better=better)
-        for better in ("higher", "lower", "nearer to 0")
-    )
-    assert best(rows(truth=1.0, a=0.5001, b=0.5004, c=0.4), "x", higher) == {"a", "b"}
-    assert best(rows(truth=0.0, a=0.3, b=0.2, c=None), "x", lower) == {"b"}
-    assert best(rows(a=-0.02, b=0.03), "x", near) == {"a"}
-    assert best(rows(truth=1.0), "x", higher) == set()
+@pytest.mark.parametrize(
+    ("better", "means", "expected"),
+    [
+        ("higher", {"truth": 1.0, "a": 0.5001, "b": 0.5004, "c": 0.4}, {"a", "b"}),
+        ("lower", {"truth": 0.0, "a": 0.3, "b": 0.2, "c": None}, {"b"}),
+        ("nearer to 0", {"a": -0.02, "b": 0.03}, {"a"}),
+        ("higher", {"truth": 1.0}, set()),
+    ],
+)
+def test_the_best_is_the_best_as_printed(better, means, expected):
+    """And never the truth."""
+    rows = {name: {"x": {"mean": mean, "n": mean is not None}} for name, mean in means.items()}
+    assert best(rows, "x", dataclasses.replace(METRICS["iou"], better=better)) == expected

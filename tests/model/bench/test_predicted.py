@@ -1,5 +1,7 @@
 """Files of predictions: those that do not fit, or cannot be, are refused in one line."""
 
+from functools import partial
+
 import h5py
 import numpy as np
 import pytest
@@ -10,39 +12,25 @@ from scenegen.model.config import Thresholds
 from tests.model.bench.test_bench import report_of, write_predictions
 from tests.refusals import refuses
 
-
-def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dataset, tmp_path):
-    path = write_predictions(tmp_path / "p.h5", dataset, drop=2)
-    more = {"error": DatasetError}
-    refuses("two", report_of, dataset, tmp_path / "bench", "--predictions", path, **more)
-    assert not (tmp_path / "bench").exists()
-
-
 ROWS = (9, 24, 24, 16)
 """Samples of the split, and the shape of their maps."""
 
 
-def set_voxel(name, value):
-    def change(file):
-        file[name][3, 1, 2, 3] = value
-
-    return change
+def set_voxel(file, name, value):
+    file[name][3, 1, 2, 3] = value
 
 
-def put(name, value, **options):
-    def change(file):
-        del file[name]
-        file.create_dataset(name, data=value, **options)
-
-    return change
+def put(file, name, **options):
+    """Another array under the name."""
+    del file[name]
+    return file.create_dataset(name, **options)
 
 
 def promise_a_terabyte(file):
     """Chunks that were never written: a file of a few kilobytes."""
-    del file["tudf"]
-    file.create_dataset("tudf", ROWS, np.float32, chunks=ROWS, maxshape=(None,) * 4)
-    del file["occupancy_probability"], file["world"]
-    file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
+    put(file, "tudf", shape=ROWS, dtype=np.float32, chunks=ROWS, maxshape=(None,) * 4)
+    del file["occupancy_probability"]
+    put(file, "world", shape=10**12, dtype=np.int64, chunks=(10**6,))
 
 
 def repeat_a_row(file):
@@ -51,8 +39,7 @@ def repeat_a_row(file):
 
 def leave_unwritten(file):
     """What a program leaves that ended too early."""
-    del file["tudf"]
-    file.create_dataset("tudf", ROWS, np.float32, chunks=(1, *ROWS[1:]))[:5] = 1.0
+    put(file, "tudf", shape=ROWS, dtype=np.float32, chunks=(1, *ROWS[1:]))[:5] = 1.0
 
 
 def link_outside(file):
@@ -61,12 +48,12 @@ def link_outside(file):
 
 
 CHANGES = {
-    "seven": set_voxel("occupancy_probability", 7.0),
-    "negative": set_voxel("tudf", -0.5),
+    "seven": partial(set_voxel, name="occupancy_probability", value=7.0),
+    "negative": partial(set_voxel, name="tudf", value=-0.5),
     "unwritten": leave_unwritten,
     "repeated": repeat_a_row,
-    "short": put("tudf", np.zeros((8, 24, 24, 16), np.float32)),
-    "text": put("tudf", np.zeros(ROWS, "S3")),
+    "short": partial(put, name="tudf", shape=(8, *ROWS[1:]), dtype=np.float32),
+    "text": partial(put, name="tudf", shape=ROWS, dtype="S3"),
     "moved": lambda file: file.move("world", "elsewhere"),
     "linked": link_outside,
     "split": lambda file: file.attrs.update({"split": np.arange(3)}),
@@ -77,11 +64,18 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_predictions_that_cannot_be_are_refused(dataset, tmp_path, change):
+def test_impossible_predictions_are_refused(dataset, tmp_path, change):
     path = write_predictions(tmp_path / "p.h5", dataset)
     with h5py.File(path, "a") as file:
         CHANGES[change](file)
     refuses(change, lambda: Predicted(path).check(dataset, "test"), error=DatasetError)
+
+
+def test_nothing_is_measured_of_other_samples(dataset, tmp_path):
+    path = write_predictions(tmp_path / "p.h5", dataset, drop=2)
+    more = {"error": DatasetError}
+    refuses("two", report_of, dataset, tmp_path / "bench", "--predictions", path, **more)
+    assert not (tmp_path / "bench").exists()
 
 
 def test_predictions_of_one_split_say_nothing_of_another(dataset, tmp_path):

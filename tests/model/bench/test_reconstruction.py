@@ -1,6 +1,6 @@
 """Metrics against hand-computed small maps and scipy, and their edge cases."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,10 +28,6 @@ from tests.refusals import refuses
 
 GRID = GridSpec(shape=(7, 6, 5))
 SUMMED = {name: metric for name, metric in METRICS.items() if metric.needs != "map"}
-DISTANCES, SHARES = (
-    [name for name, one in METRICS.items() if one.needs == needs]
-    for needs in ("distance", "occupancy")
-)
 
 
 def measure(occupied, distance, truth, true, *, classes, class_count, certain=None, union=()):
@@ -47,21 +43,17 @@ def measure(occupied, distance, truth, true, *, classes, class_count, certain=No
     return measure_map(judged, SUMMED, classes=classes, class_count=class_count, union=union)
 
 
-def samples_of(recipe):
-    return draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples
-
-
 def written_out(occupied, truth, error, near):
     """The metrics of some voxels by name: their definitions."""
-    found = {}
-    for part, name in ((error, ""), (error[near], "near_")):
-        found[f"{name}rmse"] = np.sqrt(np.mean(part**2))
-        found[f"{name}mae"] = np.abs(part).mean()
-        found[f"{name}bias"] = part.mean()
+    figures = {}
+    for part, name in ((error, ""), (near, "near_")):
+        figures[f"{name}rmse"] = np.sqrt(np.mean(part**2))
+        figures[f"{name}mae"] = np.abs(part).mean()
+        figures[f"{name}bias"] = part.mean()
     (_, misses), (alarms, hits) = stats.contingency.crosstab(occupied, truth).count
-    found["iou"] = hits / (hits + misses + alarms)
     precision, recall = hits / (hits + alarms), hits / (hits + misses)
-    return found | {
+    return figures | {
+        "iou": hits / (hits + misses + alarms),
         "precision": precision,
         "recall": recall,
         "f1": stats.hmean([precision, recall]),
@@ -69,128 +61,115 @@ def written_out(occupied, truth, error, near):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_metrics_of_the_map_a_union_and_every_class_are_their_definitions(seed):
+def test_metrics_are_their_definitions(seed):
+    """Of the map, a union of classes and every class; of voxels that are scored, and distances that
+    are certain."""
     rng = np.random.default_rng(seed)
     grid = GridSpec(shape=(18, 16, 14))
     truth = rng.random(grid.shape) < 0.01  # so that some voxels are just 1 m from it
-    occupied, classes = rng.random(grid.shape) < 0.2, rng.integers(0, 3, grid.shape, np.uint8)
+    occupied, classes = rng.random(grid.shape) < 0.2, rng.integers(0, 4, grid.shape, np.uint8)
+    classes[classes == 3] = UNSCORED
+    certain = rng.random(grid.shape) < 0.8 if seed else None
     distance, true = 2 * rng.random(grid.shape, np.float32), distance_field(truth, grid)
     assert (true == 1.0).any()
-    how = {"classes": classes, "class_count": 3, "union": [0, 2]}
+    how = {"classes": classes, "class_count": 3, "union": [0, 2], "certain": certain}
     rows = measure(occupied, distance, truth, true, **how)
-    parts = [classes < 3, classes != 1, *(classes == c for c in range(3))]
-    for row, part in zip(rows, parts, strict=True):
-        error = (distance.astype(float) - true)[part]
-        expected = written_out(occupied[part], truth[part], error, true[part] <= 1.0)
+    error, sure = distance.astype(float) - true, True if certain is None else certain
+    for row, union in zip(rows, [(0, 1, 2), (0, 2), (0,), (1,), (2,)], strict=True):
+        part = np.isin(classes, union)
+        near = error[part & sure & (true <= 1.0)]
+        expected = written_out(occupied[part], truth[part], error[part & sure], near)
         assert dict(zip(SUMMED, row, strict=True)) == pytest.approx(expected)
 
 
-def test_nothing_occupied_and_nothing_predicted_are_defined():
-    shape, whole = (2, 2, 2), {"classes": np.zeros((2, 2, 2), np.uint8), "class_count": 1}
-    none, some, far = np.zeros(shape, bool), np.ones(shape, bool), np.full(shape, 2.0, np.float32)
-    for occupied, truth, share in ((none, none, 1), (some, none, 0), (none, some, 0)):
-        field = distance_field(truth, GridSpec(shape=shape))
-        found = dict(zip(SUMMED, measure(occupied, far, truth, field, **whole)[0], strict=True))
-        assert [found[name] for name in SHARES] == [share] * 4
-        assert np.isnan(found["near_rmse"]) == (not truth.any())
+@pytest.mark.parametrize(("occupied", "truth"), [(0, 0), (1, 0), (0, 1)])
+def test_empty_maps_have_metrics(occupied, truth):
+    occupied, truth = (np.full(GRID.shape, value, bool) for value in (occupied, truth))
+    far, classes = np.full(GRID.shape, 2.0, np.float32), np.zeros(GRID.shape, np.uint8)
+    how = {"classes": classes, "class_count": 1}
+    row, *_ = measure(occupied, far, truth, distance_field(truth, GRID), **how)
+    figures = dict(zip(SUMMED, row, strict=True))
+    shares = {figures[name] for name, metric in METRICS.items() if metric.needs == "occupancy"}
+    assert shares == {float((occupied == truth).all())}
+    assert np.isnan(figures["near_rmse"]) == (not truth.any())
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_classes_part_the_map_and_mean_what_they_say(kind):
+def test_classes_mean_what_they_say(kind, rng):
     recipe = small_recipe(kind)
-    for sample in samples_of(recipe):
-        classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
-        counts = dict(
-            zip(CLASSES, np.bincount(classes.ravel(), minlength=len(CLASSES)), strict=True)
+    for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples:
+        scored = rng.random(recipe.grid.shape) < 0.9
+        classes, all_classes = (
+            classify(sample, lidar=recipe.lidar, grid=recipe.grid, scored=mask)
+            for mask in (scored, None)
         )
-        assert counts["observed"] == sample.observed.sum()
-        assert counts["crossed"] == sample.free.sum()
-        assert counts["out_of_view"] > 0
+        assert_array_equal(classes, np.where(scored, all_classes, UNSCORED))
+        masks = {name: all_classes == number for number, name in enumerate(CLASSES)}
+        assert_array_equal(masks["observed"], sample.observed)
+        assert_array_equal(masks["crossed"], sample.free)
         padded = np.pad(sample.occupancy, 1, constant_values=True)  # so counts what is beyond
         around = [
             np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)
         ]
         inside = np.all([sample.occupancy, *around], axis=0) & ~sample.free & ~sample.observed
-        assert_array_equal(classes == CLASSES.index("interior"), inside)
-        assert counts["occluded"] > 0
+        assert_array_equal(masks["interior"], inside)
+        assert masks["out_of_view"].any()
+        assert masks["occluded"].any()
 
 
-def test_nothing_below_the_ground_counts(rng):
-    recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
-    low = samples_of(recipe)[0]
-    grid, table = recipe.grid, recipe.resolved()["world"]
-    scored = scored_voxels(low, grid, table)
-    heights = low.origin[2] + grid.voxel_m * (np.arange(grid.shape[2]) + 0.5)
-    underside = -table["ground_m"]
-    assert not scored[..., heights < underside - grid.voxel_m].any()
-    assert scored[..., heights > underside].all()
-    assert 0 < scored.sum() < scored.size
-    classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
-    assert_array_equal(classes == UNSCORED, ~scored)
-    rows = []
-    said = rng.random(grid.shape) < 0.2
-    for below in (False, True):
-        said[~scored] = below
-        far = np.where(said, np.float32(0), low.tudf)
-        count = len(CLASSES)
-        rows.append(measure(said, far, low.occupancy, low.tudf, classes=classes, class_count=count))
-    assert_array_equal(*rows)
-    assert scored_voxels(low, grid, {"ground": "grass"}).all()  # somebody's own kind
-    table["ground"] = False
-    assert scored_voxels(low, grid, table).all()
+@pytest.mark.parametrize(
+    ("world", "below"),
+    [
+        ({"ground": True, "ground_m": 0.5}, 2),  # the third layer ends 0.4 m below 0
+        ({"ground": True, "ground_m": 0.4}, 3),
+        ({"ground": False, "ground_m": 0.5}, 0),
+        ({"ground": "grass", "ground_m": 0.5}, 0),  # somebody's own kind
+        (None, 0),
+    ],
+)
+def test_layers_below_the_ground_are_unscored(world, below):
+    sample = SimpleNamespace(origin=np.array([0.0, 0.0, -1.0]), known=None)
+    expected = np.broadcast_to(np.arange(5) >= below, GRID.shape)
+    assert_array_equal(scored_voxels(sample, GRID, world), expected)
 
 
-def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans(rng):
-    recipe = small_recipe("geometric")
-    drawn = samples_of(recipe)[0]
-    grid = recipe.grid
-    assert certain_distances(drawn.tudf, None, grid) is None
-    known = rng.random(grid.shape) < 0.9
-    sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
-    scored = scored_voxels(sample, grid, {})
-    assert_array_equal(scored, known)
-    certain = certain_distances(sample.tudf, known, grid)
-    other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
-    assert_array_equal(other[certain], drawn.tudf[certain])
-    classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
-    said, distance = drawn.occupancy.copy(), drawn.tudf.copy()
-    for wrong in (False, True):
-        said[~known], distance[~certain] = wrong, 9.0 * wrong
-        rows.append(
-            measure(
-                said, distance, drawn.occupancy, drawn.tudf,
-                classes=classes, class_count=1, certain=certain,
-            )
-        )  # fmt: skip
-    assert_array_equal(*rows)
-    solid, gap = walled(drawn.occupancy, drawn.tudf, known, grid)
-    assert_array_equal(solid, drawn.occupancy | ~known)
-    assert_array_equal(gap, distance_field(solid, grid))
+def test_unknown_voxels_are_unscored_and_solid(rng):
+    """Certain distances are those that no unknown voxel can change."""
+    occupied, known = rng.random((2, *GRID.shape)) < [[[[0.05]]], [[[0.95]]]]
+    sample = SimpleNamespace(origin=np.zeros(3), known=known)
+    assert_array_equal(scored_voxels(sample, GRID, None), known)
+    distance = distance_field(occupied & known, GRID)
+    certain = certain_distances(distance, known, GRID)
+    solid, gap = walled(occupied & known, distance, known, GRID)
+    assert_array_equal(solid, occupied & known | ~known)
+    assert_array_equal(gap, distance_field(solid, GRID))
+    assert_array_equal(certain, gap == distance)
+    assert 0 < certain.sum() < certain.size
+    assert certain_distances(distance, None, GRID) is None
 
 
 def test_unlearned_methods_do_what_they_say():
-    observed, free = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
+    """By columns, of which all others are neither observed nor free."""
+    observed, free = np.zeros((2, *GRID.shape), bool)
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
-    at = Thresholds()
-    empty = Empty().complete(observed, free, grid=GRID)
-    assert not empty.occupied(at).any()
-    assert (empty.distance(at, GRID) == GRID.truncation_m).all()
-    assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
-    assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
-    extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)
-    assert extruded[2, 3].tolist() == [False, True, True, True, False]
-    assert extruded[4, 4].tolist() == [True, False, False, False, False]
-    assert extruded.sum() == 4
-    for method in (Returns(), Conservative(), Extrude()):
-        completion = method.complete(observed, free, grid=GRID)
-        expected = distance_field(completion.occupied(at), GRID)
-        assert_array_equal(completion.distance(at, GRID), expected)
+    extruded = np.zeros_like(observed)
+    extruded[2, 3, 1:4] = extruded[4, 4, 0] = True
+    for method, expected in (
+        (Empty(), np.zeros_like(observed)),
+        (Returns(), observed),
+        (Conservative(), ~free),
+        (Extrude(), extruded),
+    ):
+        prediction = method.complete(observed, free, grid=GRID)
+        assert_array_equal(prediction.occupied(Thresholds()), expected)
+        distance = prediction.distance(Thresholds(), GRID)
+        assert_array_equal(distance, distance_field(expected, GRID))
 
 
-def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
+def test_predictions_derive_what_they_leave_out():
     tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
-    completion = Prediction(tudf=tudf)
-    assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
-    assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
+    prediction = Prediction(tudf=tudf)
+    assert_array_equal(prediction.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
+    assert prediction.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
     refuses("neither", Prediction)

@@ -3,8 +3,9 @@ and complete."""
 
 import pytest
 
-from tests.command_line import done, refused, run
+from tests.command_line import done, run
 from tests.conftest import contents
+from tests.refusals import refuses_command
 from tests.scenegen.base import everywhere
 from tests.scenegen.base.backwards import die_of_one
 from tests.scenegen.base.everywhere import SAMPLES, checks
@@ -26,38 +27,24 @@ def here(once, tmp_path, monkeypatch, undrawn):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "words",
-    [pytest.param(everywhere.COMMANDS[0], marks=pytest.mark.slow), everywhere.BENCH],
-    ids=lambda words: words[0],
-)
-def test_a_command_gives_the_same_elsewhere(here, capsys, words):
-    """The others do so where nothing is copied yet: tests/scenegen/stores/test_elsewhere.py."""
-    local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
-    assert everywhere.outcome(capsys, here, words, "out", *AWAY) == local
-
-
 def as_ranks(capsys, monkeypatch, *words):
     """What each of several ranks says, the last one first."""
     monkeypatch.setenv("SCENEGEN_WORLD_SIZE", str(RANKS))
-    found = []
     for rank in reversed(range(RANKS)):
         monkeypatch.setenv("SCENEGEN_RANK", str(rank))
-        found.append(run(capsys, *words, "--on", "rank", "--workers", 1))
-    return found
+        yield run(capsys, *words, "--on", "rank", "--workers", 1)
 
 
-def test_verify(here, capsys, monkeypatch):
-    """Ranks examine every sample once, together, and skip what compares all shards."""
+def test_ranks_verify_every_sample_once(here, capsys, monkeypatch):
+    """Together; they skip what compares all shards."""
     words = ("verify", "d", "--json")
     whole = checks(done(capsys, *words, "--workers", 1))
-    parts = [checks(said) for code, said, _ in as_ranks(capsys, monkeypatch, *words) if code == 0]
-    assert len(parts) == RANKS
+    parts = [checks(said) for _, said, _ in as_ranks(capsys, monkeypatch, *words)]
+    del whole["manifest"]["counts"]["files"]
     for name, check in whole.items():
-        for what, count in check["counts"].items():
-            if what != "compared" and not (name == "manifest" and what == "files"):
-                total = sum(part[name]["counts"].get(what, 0) for part in parts)
-                assert total in (count, 0), (name, what)
+        for counted in check["counts"].keys() - {"compared"}:
+            total = sum(part[name]["counts"].get(counted, 0) for part in parts)
+            assert total in (check["counts"][counted], 0), (name, counted)
     assert parts[0]["splits"]["skipped"]
     assert not parts[0]["checksums"]["skipped"]
 
@@ -74,26 +61,25 @@ def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatc
 
 
 @pytest.mark.parametrize("words", [CONVERT, everywhere.COMPLETE], ids="/".join)
-def test_ranks_fill_one_folder_and_a_run_that_lost_a_task_goes_on(here, capsys, monkeypatch, words):
+def test_ranks_fill_and_runs_go_on(here, capsys, monkeypatch, words):
+    """One folder; after a run that lost a task."""
     whole = done(capsys, *words, "-o", "whole", "--workers", 2)
-    assert "lost with its node" in refused(capsys, *words, "-o", "again", "--quiet", *CUT_OFF)
+    refuses_command(capsys, " ".join((*words, "-o again --quiet", *CUT_OFF)))
     again = done(capsys, *words, "-o", "again")
-    told = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks")]
+    ranks = list(as_ranks(capsys, monkeypatch, *words, "-o", "ranks"))
     assert contents(here / "ranks") == contents(here / "again") == contents(here / "whole")
     if words is CONVERT:
         assert whole == f"whole: {SAMPLES} samples written\n"
         assert "; an earlier run wrote " in again
-        assert all("are for the other ranks to write there" in said for said in told)
+        assert all("are for the other ranks to write there" in said for _, said, _ in ranks)
 
 
 def test_scans_are_completed_here(here, capsys):
     (here / "scan.xyz").write_text("1 1 1\n")
-    assert "complete a dataset's split" in refused(
-        capsys, "complete", "scan.xyz", "--weights", "n.safetensors", *AWAY
-    )
+    refuses_command(capsys, f"complete scan.xyz --weights n.safetensors {' '.join(AWAY)}")
 
 
-def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch):
+def test_ranks_that_share_nothing_are_refused(here, capsys, monkeypatch):
     """They say so before any work."""
     words = (*everywhere.BENCH, "-o", "ranks", "--quiet")
     for code, _, complaint in as_ranks(capsys, monkeypatch, *words):

@@ -2,7 +2,7 @@
 
 import csv
 import multiprocessing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -13,6 +13,11 @@ from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.data import Maps, opened
 
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
+
+
+def small(**settings):
+    """The small run with other settings."""
+    return replace(SMALL, **settings)
 
 
 def train(folders, config, out, device="cpu", **more):

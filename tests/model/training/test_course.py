@@ -1,33 +1,33 @@
 """What a run sees, at what rate, and where it ends; and that its budget can grow."""
 
-import dataclasses
 import itertools
 import math
 
 import pytest
 import torch
 
-import scenegen.model.training.loop
 from scenegen.base.errors import DatasetError
-from scenegen.model.checkpoint import CheckpointError, load_tensors
+from scenegen.model.checkpoint import CheckpointError, load_network, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
+from scenegen.model.training import loop
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
 from scenegen.model.training.run_folder import Progress
-from tests.model.training.runs import SMALL, Counted, train
+from tests.model.training.runs import SMALL, Counted, small, train
+from tests.refusals import refuses
 
-TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
+TINY = {"network": NetworkConfig(width=1, heads=1, variant="occ"), "batch": 12}
 
 
 def course(count=80, **settings):
     return Course(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]
 
 
-def rates(of, decay=None):
-    return [of.rate(step, decay) for step in range(of.end(decay))]
+def rates(course, decay=None):
+    return [course.rate(step, decay) for step in range(course.end(decay))]
 
 
-def test_a_constant_rate_has_no_warm_up_and_ends_where_validation_stalls():
+def test_constant_rates_end_where_validation_stalls():
     steady = course(lr=2.0, epochs=10, patience=3, schedule="constant")
     assert set(rates(steady)) == {2.0}
     losses = [1.0, 0.5, 0.6, 0.6, 0.6]
@@ -36,13 +36,13 @@ def test_a_constant_rate_has_no_warm_up_and_ends_where_validation_stalls():
 
 
 @pytest.mark.parametrize("decay", [None, 1, 79])
-def test_a_decay_stays_level_and_ends_at_nothing_wherever_it_begins(decay):
-    of = course(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
-    found = rates(of, decay)
+def test_a_decay_is_linear_wherever_it_begins(decay):
+    decaying = course(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
+    actual = rates(decaying, decay)
     begin = 80 if decay is None else decay
-    assert of.latest_decay == 80
-    assert found[: begin + 1] == [2.0] * (begin + 1)
-    falls = [one - other for one, other in itertools.pairwise([*found[begin:], 0.0])]
+    assert decaying.latest_decay == 80
+    assert actual[: begin + 1] == [2.0] * (begin + 1)
+    falls = [rate - after for rate, after in itertools.pairwise([*actual[begin:], 0.0])]
     assert falls == pytest.approx([2.0 / len(falls)] * len(falls))
     assert len(falls) == math.ceil(begin / 4)
 
@@ -55,51 +55,39 @@ def test_a_budget_in_maps_replaces_passes():
 
 
 @pytest.mark.parametrize("interval", [None, 24, 200])
-def test_rounds_see_the_passes_one_after_the_other(interval):
-    of = course(count=83, maps=400, interval=interval)
+def test_rounds_see_one_pass_after_another(interval):
+    run = course(count=83, maps=400, interval=interval)
     passes = [list(epoch_batches(Counted(83), TrainConfig(), epoch)) for epoch in range(5)]
-    seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
-    assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))
-    assert list(of.batches(7, 9)) == list(itertools.chain(*passes))[7:16]
+    expected = list(itertools.chain(*passes))
+    rounds = [run.batches(first, min(run.round, 50 - first)) for first in range(0, 50, run.round)]
+    assert list(itertools.chain(*rounds)) == expected
+    assert list(run.batches(7, 9)) == expected[7:16]
 
 
-def validate_as(monkeypatch, *losses):
-    """Validation finds these losses, one after the other."""
-    found, said = scenegen.model.training.loop.validate, iter(losses)
-    monkeypatch.setattr(
-        scenegen.model.training.loop, "validate", lambda *of: found(*of) | {"loss": next(said)}
-    )
-
-
-def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
-    undrawn, folders, tmp_path, monkeypatch
-):
+def test_a_stall_begins_the_decay(undrawn, folders, tmp_path, monkeypatch):
     """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as
-    many rounds."""
-    validate_as(monkeypatch, 3.0, 2.0, *[2.5] * 20)
-    config = dataclasses.replace(TINY, epochs=100, patience=2, decay_share=0.5)
-    rows = train(folders, config, tmp_path / "run")
-    steps = rows[0]["maps"]
-    assert [row["maps"] / steps for row in rows] == list(range(1, 9))
-    with pytest.raises(DatasetError, match="epochs is 100 there, 200 asked for"):
-        train(folders, dataclasses.replace(config, epochs=200), tmp_path / "run")
+    many rounds. Of rounds that are equal, the first is the best."""
+    validate, losses = loop.validate, iter([3.0, 2.0, 2.0, *[2.5] * 20])
+    monkeypatch.setattr(loop, "validate", lambda *given: validate(*given) | {"loss": next(losses)})
+    settings = TINY | {"patience": 2, "decay_share": 0.5}
+    rows = train(folders, small(**settings, epochs=100), tmp_path / "run")
+    assert [row["maps"] / rows[0]["maps"] for row in rows] == list(range(1, 9))
+    assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
+    longer = small(**settings, epochs=200)
+    refuses("longer", train, folders, longer, tmp_path / "run", error=DatasetError)
 
 
-def test_a_run_begins_with_given_weights_of_its_own_network(undrawn, folders, tmp_path):
+def test_a_run_begins_with_given_weights(undrawn, folders, tmp_path):
     """With a rate of next to nothing, it ends with them."""
-    once, still = (
-        dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed)
-        for lr, seed in ((1e-2, 0), (1e-30, 1))
-    )
-    train(folders, once, tmp_path / "first")
+    fast, slow = (small(**TINY, epochs=1, lr=lr, seed=seed) for lr, seed in ((1e-2, 0), (1e-30, 1)))
+    train(folders, fast, tmp_path / "first")
     weights = tmp_path / "first" / "best.safetensors"
-    train(folders, still, tmp_path / "second", weights=weights)
+    train(folders, slow, tmp_path / "second", weights=weights)
     first, second = (
         load_tensors(tmp_path / name / "best.safetensors")[0] for name in ("first", "second")
     )
     learned = [name for name in first if "running" not in name and "tracked" not in name]
     assert all(torch.equal(first[name], second[name]) for name in learned)
-    with pytest.raises(CheckpointError, match=r"variant is .* there"):
-        train(folders, SMALL, tmp_path / "third", weights=weights)
-    with pytest.raises(DatasetError, match="begun with other settings"):
-        train(folders, still, tmp_path / "second")
+    out, more = tmp_path / "third", {"weights": weights, "error": CheckpointError}
+    refuses("variant", train, folders, SMALL, out, **more)
+    refuses("weights", train, folders, slow, tmp_path / "second", error=DatasetError)

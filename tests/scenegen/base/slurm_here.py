@@ -1,17 +1,11 @@
-"""A real Slurm on this machine, of several nodes: for tests, and around a command.
-
-python -m tests.scenegen.base.slurm_here COMMAND…     begins munged, slurmctld and slurmd, runs
-COMMAND, ends them
-    needs Debian's slurm-wlm and munge, and to be root
-"""
+"""A real Slurm on this machine, of several nodes. Needs Debian's slurm-wlm and munge, and to be
+root."""
 
 import os
 import shutil
 import signal
 import socket
 import subprocess
-import sys
-import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -106,8 +100,3 @@ def _wait(folder, nodes):
         time.sleep(1)
     log = (folder / "slurmctld.log").read_text()[-2000:]
     raise RuntimeError(f"not all nodes are up: {told.stdout}{told.stderr}\n{log}")
-
-
-if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as made, slurm(Path(made)):
-        sys.exit(subprocess.run(sys.argv[1:], check=False).returncode)

@@ -9,7 +9,7 @@ import rich_click as click
 from click.testing import CliRunner
 
 from lidarsim.parameters import check, number
-from scenegen.cli.options import options_of, out_option, taken
+from scenegen.cli.options import fields_in, options_of, out_option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class Config:
     Config, width="Channels.", reach_m="How far.", stride="Step.", mode="Which.", turned="Whether."
 )
 def command(**options):
-    config = Config(**taken(Config, {**options, "nothing": 1}))
+    config = Config(**fields_in(Config, {**options, "nothing": 1}))
     click.echo(repr(config))
 
 

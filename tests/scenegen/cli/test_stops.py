@@ -1,6 +1,7 @@
-"""A stop at any moment is one line; what hangs still dies."""
+"""A stop at any moment is one line, and leaves whole files; what hangs still dies."""
 
 import functools
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from scenegen.cli.stops import STOPPED
 from tests.command_line import ROOT
 from tests.scenegen.conftest import wait_for
 
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 LINE = f"scenegen: {STOPPED}\n"
 CALLBACK = """
 import ctypes, sys
@@ -77,7 +79,7 @@ def test_within_a_librarys_callback(number):
     assert running.returncode == 130
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="asks the C library")
+@LINUX
 def test_a_second_stop_ends_what_hangs_in_a_library():
     running = ready(HANGING)
     running.send_signal(signal.SIGTERM)
@@ -109,7 +111,7 @@ def answers(process):
     return int(status.partition("SigCgt:\t")[2].split()[0], 16) & 0x4003 == 0x4003
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@LINUX
 def test_while_a_command_begins(tmp_path):
     """Imports and the loading of kernels, at moments spread over them."""
     asked = f"{sys.executable} cli.py generate --kind pillar --n 20000 --quiet --workers 1"
@@ -124,3 +126,44 @@ def test_while_a_command_begins(tmp_path):
             running.kill()
         assert running.returncode == 130
     assert not list(tmp_path.rglob(".*.tmp"))
+
+
+def start(small, out):
+    """A run with workers that lasts until it is stopped, well under way."""
+    options = f"--recipe {small} --n 200000 --out {out} --workers 2 --shard-samples 30"
+    process = begin(sys.executable, "-m", "cli", "generate", *options.split())
+    # with nothing cached, kernels compile first
+    wait_for(lambda: process.poll() is not None or len(list(out.glob("*.h5"))) > 2, 150)
+    assert process.poll() is None, process.stderr.read()
+    return process
+
+
+def descendants(pid):
+    """Processes of the session that `pid` leads, itself left out."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == pid and int(entry.name) != pid and fields[0] != "Z":
+            found.append(int(entry.name))
+    return found
+
+
+@LINUX
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_run_leaves_no_process_and_whole_files(number, small, tmp_path):
+    out = tmp_path / "d"
+    process = start(small, out)
+    assert len(descendants(process.pid)) >= 2
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, error = process.communicate(timeout=20)
+    wait_for(lambda: descendants(process.pid) == [], 10)
+    if number != signal.SIGKILL:
+        assert process.returncode == 130
+        assert "nothing finished is lost" in error
+        assert "Traceback" not in error
+        assert not list(out.glob(".*.tmp"))
+    for path in out.glob("*.h5"):
+        assert path.with_suffix(".worlds.zip").exists()

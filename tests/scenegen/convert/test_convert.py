@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import subprocess
 import sys
 
 import h5py
@@ -20,9 +19,9 @@ from scenegen.convert.recordings import rerun as import_rerun
 from scenegen.dataset.read import Dataset
 from scenegen.draw.source import read_world
 from scenegen.worlds.place import parse_octomap
-from tests.command_line import done, refused, run
+from tests.command_line import done, python, refused, run
 from tests.conftest import contents
-from tests.scenegen import refuses
+from tests.refusals import refuses
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 MASKS = ("observed", "free", "occupancy")
@@ -82,94 +81,66 @@ def test_occ3d(made, tmp_path):
             assert_array_equal(labels[name], values)
 
 
-SEMANTIC_KITTI = {
-    "nothing": 0,
-    "road": 40,
-    "sidewalk": 48,
-    "terrain": 72,
-    "building": 50,
-    "vegetation": 70,
-    "trunk": 71,
-    "pole": 80,
-    "sign": 81,
-    "vehicle": 10,
-    "tyre": 10,
-    "machine": 60,
-}
-"""Names and numbers of `config/semantic-kitti.yaml`; tyres are of cars, and machines of what
-`--label` says."""
 OCC3D_NAMES = str.split("""
 others barrier bicycle bus car construction_vehicle motorcycle pedestrian traffic_cone trailer truck
 driveable_surface other_flat sidewalk terrain manmade vegetation free
 """)
 """As the loaders of Occ3D-nuScenes list them."""
-OCC3D = {
-    "nothing": "free",
-    "road": "driveable_surface",
-    "sidewalk": "sidewalk",
-    "terrain": "terrain",
-    "building": "manmade",
-    "vegetation": "vegetation",
-    "trunk": "vegetation",
-    "pole": "manmade",
-    "sign": "manmade",
-    "vehicle": "car",
-    "tyre": "car",
-    "machine": "manmade",
-}
+CLASSES = """
+nothing     0 free
+road       40 driveable_surface
+sidewalk   48 sidewalk
+terrain    72 terrain
+building   50 manmade
+vegetation 70 vegetation
+trunk      71 vegetation
+pole       80 manmade
+sign       81 manmade
+vehicle    10 car
+tyre       10 car
+machine    60 manmade
+"""
+"""Our classes; the numbers of `config/semantic-kitti.yaml`, where tyres are of cars, and machines
+of what `--label` says; and Occ3D's names."""
+OURS, SEMANTIC_KITTI, OCC3D = zip(*map(str.split, CLASSES.strip().splitlines()), strict=True)
 
 
 @pytest.fixture(scope="module")
 def labelled(tmp_path_factory):
-    """A dataset of a world with a box of each class, as numbers and names: read with h5py and json
-    alone."""
+    """A dataset of a world with a box of each class, and the classes of its voxels: read with h5py
+    and json alone."""
     folder = tmp_path_factory.mktemp("labelled")
-    names = list(SEMANTIC_KITTI)[1:]
-    materials = "".join(f'<material name="{name}"/>' for name in names)
-    boxes = "".join(
-        f'<geom type="box" size=".4 .4 .4" pos="{2 * (n % 4)} {2 * (n // 4)} 0.5" '
-        f'material="{name}"/>'
-        for n, name in enumerate(names)
-    )
-    (folder / "town.xml").write_text(
-        f"<mujoco><asset>{materials}</asset><worldbody>{boxes}</worldbody></mujoco>"
-    )
-    scenegen.generate(
-        scene=folder / "town.xml", n=2, val=0, test=0, labels="class", out=folder / "d"
-    )
-    classes = json.loads((folder / "d/dataset.json").read_text())["recipe"]["parts"]["labels"][
-        "classes"
-    ]
+    document, names = "<mujoco><asset>", OURS[1:]
+    document += "".join(f'<material name="{name}"/>' for name in names) + "</asset><worldbody>"
+    for n, name in enumerate(names):
+        place = f'size=".4 .4 .4" pos="{2 * (n % 4)} {2 * (n // 4)} 0.5"'
+        document += f'<geom type="box" {place} material="{name}"/>'
+    (folder / "town.xml").write_text(f"{document}</worldbody></mujoco>")
+    options = {"n": 2, "val": 0, "test": 0, "labels": "class", "out": folder / "d"}
+    scenegen.generate(scene=folder / "town.xml", **options)
+    parts = json.loads((folder / "d/dataset.json").read_text())["recipe"]["parts"]
     with h5py.File(folder / "d/train-00000.h5") as file:
-        numbers = file["voxel_class"][:]
-    assert set(SEMANTIC_KITTI) == {classes[number] for number in np.unique(numbers)}
-    return folder / "d", np.array(classes), numbers
+        classes = np.array(parts["labels"]["classes"])[file["voxel_class"][:]]
+    assert set(OURS) == set(np.unique(classes))
+    return folder / "d", classes
 
 
-def test_classes_become_semantickitti_s_by_name(labelled, tmp_path):
-    dataset, classes, numbers = labelled
-    converted(dataset, tmp_path / "out", "semantickitti", split="train", label=60)
-    for n, expected in enumerate(numbers):
-        found = np.fromfile(tmp_path / f"out/sequences/0{n}/voxels/00000{n}.label", np.uint16)
-        assert_array_equal(found, [SEMANTIC_KITTI[name] for name in classes[expected.ravel()]])
-
-
-def test_classes_become_occ3d_s_by_name(labelled, tmp_path):
-    dataset, classes, numbers = labelled
-    converted(dataset, tmp_path / "out", "occ3d", split="train")
-    for n, expected in enumerate(numbers):
-        found = np.load(tmp_path / f"out/gts/train/00000{n}/labels.npz")["semantics"]
-        assert found.dtype == np.uint8
-        named = np.array(OCC3D_NAMES)[found]
-        assert_array_equal(named.ravel(), [OCC3D[name] for name in classes[expected.ravel()]])
-
-
-def test_npz_names_the_classes(labelled, tmp_path):
-    dataset, classes, numbers = labelled
-    converted(dataset, tmp_path / "out", "npz", split="train")
-    for n, expected in enumerate(numbers):
-        with np.load(tmp_path / f"out/train/00000{n}.npz", allow_pickle=False) as found:
-            assert_array_equal(found["classes"][found["voxel_class"]], classes[expected])
+@pytest.mark.parametrize("to", ["semantickitti", "occ3d", "npz"])
+def test_classes_become_the_formats_by_name(labelled, tmp_path, to):
+    dataset, classes = labelled
+    converted(dataset, tmp_path, to, split="train", label=60)
+    for n, expected in enumerate(classes):
+        if to == "semantickitti":
+            numbers = np.fromfile(tmp_path / f"sequences/0{n}/voxels/00000{n}.label", np.uint16)
+            written, theirs = numbers.astype(str), SEMANTIC_KITTI
+        elif to == "occ3d":
+            numbers = np.load(tmp_path / f"gts/train/00000{n}/labels.npz")["semantics"]
+            written, theirs = np.array(OCC3D_NAMES)[numbers], OCC3D
+        else:
+            arrays = np.load(tmp_path / f"train/00000{n}.npz", allow_pickle=False)
+            written, theirs = arrays["classes"][arrays["voxel_class"]], OURS
+        renamed = dict(zip(OURS, theirs, strict=True))
+        assert written.ravel().tolist() == [renamed[name] for name in expected.ravel()]
 
 
 def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
@@ -179,11 +150,10 @@ def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
         "<geom name='crate.7' type='box' size='1 1 1' pos='4 0 1'/></worldbody></mujoco>"
     )
     done(capsys, f"generate --scene {tmp_path}/a.xml --n 1 --labels name -o {tmp_path}/d")
-    code, _, said = run(capsys, f"convert {tmp_path}/d --to semantickitti -o {tmp_path}/k")
-    (line,) = (line for line in said.splitlines() if "classes" in line)
+    code, _, notes = run(capsys, f"convert {tmp_path}/d --to semantickitti -o {tmp_path}/k")
+    (line,) = (line for line in notes.splitlines() if "classes" in line)
     assert (code, line.partition(":")[0]) == (0, "classes that the format lacks become 50")
-    assert "crate" in line
-    assert "bicycle" not in line
+    assert ("crate" in line, "bicycle" in line) == (True, False)
     labels = np.fromfile(next(tmp_path.glob("k/**/*.label")), np.uint16)
     assert set(np.unique(labels)) == {0, 11, 50}
 
@@ -215,10 +185,10 @@ def test_clouds(made, tmp_path, frame):
             place = "{} {} {}".format(*sample.position)
         content = PCD.format(n=len(single), place=place).encode() + single.tobytes()
         assert (tmp_path / f"pcd/val/{number}.pcd").read_bytes() == content
-        with np.load(tmp_path / f"npz/val/{number}.npz", allow_pickle=False) as found:
-            assert_array_equal(found["points"], expected)
+        with np.load(tmp_path / f"npz/val/{number}.npz", allow_pickle=False) as arrays:
+            assert_array_equal(arrays["points"], expected)
             for name in sample.names:
-                assert_array_equal(found[name], getattr(sample, name))
+                assert_array_equal(arrays[name], getattr(sample, name))
 
 
 def test_octomap(made, tmp_path):
@@ -226,12 +196,12 @@ def test_octomap(made, tmp_path):
     out = converted(made, tmp_path / "out", "octomap")
     voxel_m = Dataset(made).grid.voxel_m
     for number, sample in samples_of(made):
-        found = parse_octomap((out / f"val/{number}.bt").read_bytes(), "")
-        assert found.voxel_m == voxel_m
+        tree = parse_octomap((out / f"val/{number}.bt").read_bytes(), "")
+        assert tree.voxel_m == voxel_m
         for state, mask in ((OCCUPIED, sample.observed), (FREE, sample.free & ~sample.observed)):
-            there = np.argwhere(found.states == state) * voxel_m + found.bounds[0]
-            moved = there - np.argwhere(mask) * voxel_m - sample.origin
-            assert len(there)
+            places = np.argwhere(tree.states == state) * voxel_m + tree.bounds[0]
+            moved = places - np.argwhere(mask) * voxel_m - sample.origin
+            assert len(places)
             assert np.abs(moved).max() <= voxel_m / 2 + 1e-6
 
 
@@ -239,8 +209,9 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     monkeypatch.setattr("scenegen.convert.convert.CHUNK", 1)
     to, out = "semantickitti", tmp_path / "out"
 
-    def go_on(**more):
-        return convert(Dataset(made), out, to=to, choices=Choices(), splits=("val",), **more)
+    def go_on(**options):
+        ended = convert(Dataset(made), out, to=to, choices=Choices(), splits=("val",), **options)
+        return ended.written, ended.existing
 
     def stop(count):
         raise KeyboardInterrupt
@@ -248,13 +219,11 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         go_on(on_done=stop)
     next(out.rglob("*.invalid")).unlink()  # as if stopped within the first sample
-    done = go_on()
-    assert (done.written, done.there) == (2, 0)
-    done = go_on()
-    assert (done.written, done.there) == (0, 2)
+    assert go_on() == (2, 0)
+    assert go_on() == (0, 2)
     assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
-        refuses("another command", converted, made, out, other, **choices)
+        refuses(other, converted, made, out, other, **choices)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ModuleNotFoundError):
         converted(made, tmp_path / "lost", "rerun")
@@ -271,11 +240,11 @@ def test_what_cannot_be_read_is_named_and_the_rest_is_written(dataset, tmp_path,
     command = f"convert {dataset} --split train --quiet -o {tmp_path}"
     shared, tar = f"{command}/tar --to webdataset", tmp_path / "tar" / "train-000000.tar"
     again = shared, [1, 2, 3, 4, 5]
-    for told, broken in ((f"{command}/pcd --to pcd", [1, 3, 4, 5]), again, again):
-        code, _, said = run(capsys, told)
+    for words, broken in ((f"{command}/pcd --to pcd", [1, 3, 4, 5]), again, again):
+        code, _, notes = run(capsys, words)
         assert code == 1
-        assert [n for n in range(11) if f"train {n} is left out" in said] == broken
-        assert f"{len(broken)} samples could not be read" in said
+        assert [n for n in range(11) if f"train {n} is left out" in notes] == broken
+        assert f"{len(broken)} samples could not be read" in notes
     assert len(list(tmp_path.rglob("*.pcd"))) == 7
     assert tar.read_bytes().count(b".npz\0") == 6
     first.write_bytes(sound)
@@ -301,22 +270,14 @@ def test_webdataset_s_own_loader_finds_every_sample(made, tmp_path, monkeypatch)
     monkeypatch.setattr("scenegen.convert.formats.WebDataset.together", 2)
     out, again = (converted(made, tmp_path / name, "webdataset") for name in ("out", "again"))
     shards = sorted(map(str, out.glob("val-*.tar")))
-    found = list(webdataset.WebDataset(shards, shardshuffle=False).decode())
     expected = dict(samples_of(made))
     assert len(shards) == -(-len(expected) // 2)
-    assert [one["__key__"] for one in found] == list(expected)
-    for one, sample in zip(found, expected.values(), strict=True):
-        assert one["json"]["world"] == sample.world
+    rows = webdataset.WebDataset(shards, shardshuffle=False).decode()
+    for row, (number, sample) in zip(rows, expected.items(), strict=True):
+        assert (row["__key__"], row["json"]["world"]) == (number, sample.world)
         for name in (*MASKS, "tudf"):
-            assert_array_equal(one["npz"][name], getattr(sample, name))
+            assert_array_equal(row["npz"][name], getattr(sample, name))
     assert contents(out) == contents(again)
-
-
-def shown(sample, name, grid):
-    """The scan, or the centres of a mask's voxels."""
-    centres = grid.centres(sample.origin)
-    found = sample.points() if name == "scan" else centres[getattr(sample, name)]
-    return found.astype(np.float32)
 
 
 RERUN = """
@@ -342,11 +303,8 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
     monkeypatch,
 ):
     pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
-    given = environment(shim, tmp_path)
-    words = [sys.executable, "-c", RERUN, made, tmp_path / "out"]
-    ended = subprocess.run(words, env=given, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    assert "watched" in ended.stdout
+    variables = environment(shim, tmp_path)
+    assert "watched" in python("-c", RERUN, made, tmp_path / "out", env=variables).stdout
     assert noted(tmp_path) == []
     assert list((tmp_path / "home").rglob("*.json")) == []
     for name in ("CI", "TELEMETRY_ENABLED"):
@@ -360,8 +318,8 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
     assert len({reader.recordings()[0].recording_id for reader in readers}) == 3
     reader = readers[-1]
     layout = reader.stream(store=reader.blueprints()[0])
-    told = [chunk.to_record_batch().to_pydict() for chunk in layout]
-    assert "['/occupancy', '/sensor']" in str(told)
+    shown = [chunk.to_record_batch().to_pydict() for chunk in layout]
+    assert "['/occupancy', '/sensor']" in str(shown)
     for chunk in reader.stream():
         if (name := chunk.entity_path.strip("/")) not in (*MASKS, "scan"):
             continue
@@ -369,8 +327,10 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
         columns = (batch[key].to_pylist() for key in ("sample", "Points3D:positions"))
         for number, points in zip(*columns, strict=True):
             seen.add((number, name))
-            expected = shown(samples[number], name, dataset.grid)
-            assert_array_equal(np.array(points, np.float32), expected)
+            sample = samples[number]
+            centres = dataset.grid.centres(sample.origin)
+            expected = sample.points() if name == "scan" else centres[getattr(sample, name)]
+            assert_array_equal(np.array(points, np.float32), expected.astype(np.float32))
     assert seen == {(n, name) for n in range(len(samples)) for name in (*MASKS, "scan")}
 
 

@@ -7,6 +7,8 @@ import operator
 from scenegen.base.reading import sha256_of
 from scenegen.draw.sample import GROUPS
 
+OF_POSES = ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint")
+"""Fields that a second scan from the same poses does not change."""
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
 
 SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>

@@ -2,7 +2,6 @@
 for another."""
 
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -10,14 +9,13 @@ import threading
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 
-from lidarsim import GridSpec
 from scenegen import SPLITS
-from scenegen.base.errors import GenerationError
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
@@ -27,8 +25,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import ShardSpec, read_report
 from tests.command_line import rows
-from tests.conftest import DRAWN, THREE, picky_recipe, plan_of, small_recipe, stop_at_val
-from tests.scenegen import cases, refuses
+from tests.conftest import DRAWN, THREE, contents, picky_recipe, plan_of, small_recipe, stop_at_val
+from tests.refusals import refuses
+from tests.scenegen import cases
 from tests.scenegen.conftest import same
 from tests.scenegen.verification.forge import edit_manifest, read
 
@@ -47,10 +46,6 @@ def plan(folder, *, recipe=None, counts=COUNTS, **options):
 
 def make(folder, *, workers=1, **options):
     return build(plan(folder, **options), workers=workers)
-
-
-def content(folder):
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
 @pytest.fixture(scope="session")
@@ -77,34 +72,27 @@ def folder(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "d"))
 
 
-@pytest.fixture(scope="session")
-def undisturbed(whole):
-    """What lies in it."""
-    return content(whole)
-
-
-def test_the_number_of_workers_changes_no_byte(tmp_path, undisturbed):
+def test_the_number_of_workers_changes_no_byte(tmp_path, whole):
     DRAWN.clear()  # which workers would inherit
     make(tmp_path / "two", workers=2)
-    assert content(tmp_path / "two") == undisturbed
+    assert contents(tmp_path / "two") == contents(whole)
 
 
 def test_a_chunk_is_the_same_wherever_a_threads_stack_lies():
     """The shorter it is, the more stacks ISA-L alone gives other bytes on: here one in some
     sixty."""
     values = np.frombuffer(b"abcdefgh" + bytes(range(24)) + b"abcdefgh", np.uint8)
-    threads = 400
-    together = threading.Barrier(threads)
+    together = threading.Barrier(400)
 
     def pack(_):
         together.wait()
         return shards.compress(values)
 
     before = threading.stack_size(1 << 18)
-    with ThreadPoolExecutor(threads) as pool:
-        (found,) = set(pool.map(pack, range(threads)))
+    with ThreadPoolExecutor(400) as pool:
+        (packed,) = set(pool.map(pack, range(400)))
     threading.stack_size(before)
-    assert zlib.decompress(found) == values.tobytes()
+    assert zlib.decompress(packed) == values.tobytes()
 
 
 def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
@@ -114,32 +102,37 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
     assert read(few)["digest"] != digest
     assert "tudf" not in read(tmp_path / "c")["fields"]
     for split in SPLITS:
-        one, other = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
-        assert all(same(a, b) for a, b in zip(one, other, strict=True))
+        stored, compact_split = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
+        assert all(same(a, b) for a, b in zip(stored, compact_split, strict=True))
 
 
 def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
     """Byte by byte; whole shards are not touched, and one that was not full is made again."""
-    kept = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
-    before = [(folder / name).stat().st_mtime_ns for name in kept]
+    untouched = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
+    before = [(folder / name).stat().st_mtime_ns for name in untouched]
     assert make(folder, counts=MORE).samples_written == 20 + 8 - 12
-    assert content(folder) == content(larger)
-    assert [(folder / name).stat().st_mtime_ns for name in kept] == before
+    assert contents(folder) == contents(larger)
+    assert [(folder / name).stat().st_mtime_ns for name in untouched] == before
 
 
-def test_a_lost_manifest_is_made_from_the_shards(folder):
-    whole = content(folder)
+DAMAGES = {"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}
+
+
+def test_a_manifest_comes_again_from_the_shards(folder, whole):
+    for damage in DAMAGES:
+        edit_manifest(folder, **damage)
+        assert make(folder).samples_written == 0
+        assert contents(folder) == contents(whole)
     (folder / NAME).unlink()
-    refuses("no sound shard", make, folder, seed=4)
+    refuses("lost, and another seed", make, folder, seed=4)
     assert make(folder).samples_written == 0
-    assert content(folder) == whole
+    assert contents(folder) == contents(whole)
 
 
 def test_what_is_finished_is_written_down_on_the_way(tmp_path, monkeypatch):
     """A run that is killed has listed its shards, and the next one does not hash their samples
     again."""
     monkeypatch.setattr(module, "NOTE_S", 0.0)
-
     with pytest.raises(KeyboardInterrupt):
         build(plan(tmp_path / "d"), on_shard=stop_at_val)
     assert len(read(tmp_path / "d")["shards"]) == 3
@@ -163,34 +156,31 @@ viewpoint  → <i8  →
 
 
 def test_the_format_is_the_contract(whole):
-    there, sums = read(whole), content(whole)
-    assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 2, True)
-    assert Dataset(whole).grid == GridSpec(shape=(24, 24, 16), voxel_m=0.2, truncation_m=2.0)
-    assert there["fields"] == [name for name, _, _ in rows(FORMAT)]
-    for shard in there["shards"]:
-        assert sums[shard["file"]] == shard["sha256"]
-        assert sums[shard["worlds"]] == shard["worlds_sha256"]
-        with h5py.File(whole / shard["file"]) as file:
-            assert file["world"][:].min() == shard["first_world"]
-            for name, dtype, size in rows(FORMAT):
-                stored, shape = file[name], tuple(map(int, size.split()))
-                assert (stored.dtype, stored.chunks) == (dtype, (1, *shape))
-                assert stored.shape == (shard["samples"], *shape)
-                assert stored.compression in (None, "gzip")
-    assert sum(shard["samples"] for shard in there["shards"]) == sum(COUNTS.values())
+    """What the numbers are, `verify` says, which shares no code with what writes them."""
+    manifest = read(whole)
+    assert (manifest["format"], manifest["version"]) == ("scenegen-dataset", 2)
+    assert manifest["fields"] == [name for name, _, _ in rows(FORMAT)]
+    with h5py.File(whole / "train-00000.h5") as shard:
+        for name, dtype, size in rows(FORMAT):
+            stored, shape = shard[name], tuple(map(int, size.split()))
+            assert (stored.dtype, stored.shape) == (dtype, (6, *shape))
+            assert (stored.chunks, stored.compression or "gzip") == ((1, *shape), "gzip")
 
 
-def test_going_on_with_other_parameters_is_refused_by_name(folder):
-    before = content(folder)
-    for options, named in (
-        ({"seed": 5}, "seed is 3 there, 5 asked for"),
-        ({"counts": {**COUNTS, "train": 12}}, "counts.train is 13 there, 12 asked for"),
-        ({"recipe": small_recipe(flight={"robot_radius_m": 0.4})}, "recipe.flight"),
-        ({"compact": True}, "fields"),
-    ):
-        refuses(named, make, folder, **options)
+def test_going_on_with_other_parameters_is_refused_by_name(folder, whole):
+    changes = {
+        **{"seed": 5, "counts": {**COUNTS, "train": 12}, "compact": True},
+        "recipe": small_recipe(flight={"robot_radius_m": 0.4}),
+    }
+    for name, value in changes.items():
+        refuses(name, make, folder, **{name: value})
     assert build(plan(folder), force=True, shard_range=(0, 1)).samples_written == 0
-    assert content(folder) == before
+    assert contents(folder) == contents(whole)
+
+
+def replace(folder, counts=THREE):
+    """Put another dataset in its place; by default the few samples."""
+    build(plan(folder, seed=5, counts=counts), force=True)
 
 
 MINE = "notes.txt rays.npy train-00099.worlds.zip test-00050.h5 dataset.part-a.json"
@@ -198,26 +188,22 @@ MINE = "notes.txt rays.npy train-00099.worlds.zip test-00050.h5 dataset.part-a.j
 
 def test_force_replaces_a_dataset_and_none_of_a_users_files(folder, few):
     """Whatever they are called: another dataset's shard that a user put there is his, too."""
-    there = content(folder)
-    for name in MINE.split():
-        (folder / name).write_bytes(b"mine")
-    shutil.copy(few / "train-00000.h5", folder / "train-00098.h5")
-    before = content(folder)
+    mine = dict.fromkeys(MINE.split(), b"mine")
+    mine["train-00098.h5"] = (few / "train-00000.h5").read_bytes()
+    for name, content in mine.items():
+        (folder / name).write_bytes(content)
+    before = contents(folder)
     make(folder)
-    assert content(folder) == before
-    build(plan(folder, seed=5, counts=THREE), force=True)
-    mine = {name: before[name] for name in before.keys() - there.keys()}
-    assert content(folder) == content(few) | mine
+    assert contents(folder) == before
+    replace(folder)
+    assert contents(folder) == contents(few) | mine
 
 
 def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(folder):
     (folder / "train-00003.h5").write_bytes(b"mine")  # beyond the shards of the dataset there
-    before = content(folder)
-    refuses(
-        r"train-00003\.h5: is of no dataset there",
-        lambda: build(plan(folder, seed=5, counts={"train": 24, "val": 0, "test": 0}), force=True),
-    )
-    assert content(folder) == before
+    before = contents(folder)
+    refuses("a user's shard", replace, folder, {"train": 24, "val": 0, "test": 0})
+    assert contents(folder) == before
 
 
 @pytest.mark.parametrize(("listed", "killed_at"), [(False, 1), (True, 8)])
@@ -237,10 +223,10 @@ def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, mo
 
     monkeypatch.setattr(Path, "unlink", dies)
     with pytest.raises(KeyboardInterrupt):
-        build(plan(folder, seed=5, counts=THREE), force=True)
+        replace(folder)
     monkeypatch.undo()
-    build(plan(folder, seed=5, counts=THREE), force=True)
-    assert content(folder) == content(few)
+    replace(folder)
+    assert contents(folder) == contents(few)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +234,7 @@ def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, mo
     [(ShardSpec, "prepare", 1), (manifest, "write", 1), (manifest, "write", 2)],
 )
 def test_jobs_that_finish_while_another_works_lose_nothing(
-    owner, name, nth, tmp_path, monkeypatch, undisturbed
+    owner, name, nth, tmp_path, monkeypatch, whole
 ):
     """Before it begins, just before it writes that it begins, and before it writes what it saw."""
     parts, original, calls = plan(tmp_path / "d"), getattr(owner, name), []
@@ -260,21 +246,12 @@ def test_jobs_that_finish_while_another_works_lose_nothing(
         return original(*given)
 
     monkeypatch.setattr(owner, name, overtaken)
-    found = build(parts, shard_range=(0, 1))
-    assert (found.complete, found.samples_written) == (True, parts.shards[0].samples)
-    assert content(tmp_path / "d") == undisturbed
+    outcome = build(parts, shard_range=(0, 1))
+    assert (outcome.complete, outcome.samples_written) == (True, parts.shards[0].samples)
+    assert contents(tmp_path / "d") == contents(whole)
 
 
-def test_a_list_of_shards_that_is_damaged_is_written_anew(folder):
-    undisturbed = content(folder)
-    for damage in ({"shards": [{"file": 1}]}, {"shards": None}, {"rejected": 0, "digest": "x"}):
-        edit_manifest(folder, **damage)
-        assert make(folder).samples_written == 0
-        assert content(folder) == undisturbed
-
-
-def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder, tmp_path):
-    undisturbed = content(folder)
+def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(whole, tmp_path):
     parts = plan(tmp_path / "parts")
     first, last = (parts.folder / parts.shards[n].file for n in (0, -1))
     build(parts, shard_range=(0, 1))
@@ -285,34 +262,32 @@ def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(folder, tm
     between = build(parts, shard_range=(1, len(parts.shards) - 1))
     assert (between.complete, between.shards_missing) == (False, 2)
     assert build(parts).complete
-    assert content(tmp_path / "parts") == undisturbed
+    assert contents(tmp_path / "parts") == contents(whole)
 
 
 def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path):
-    hopeless = small_recipe(accept={"min_solids": 1e6, "max_draws": 1})
-    with pytest.raises(GenerationError):
-        make(tmp_path / "d", recipe=hopeless)
+    hopeless = plan(tmp_path / "d", recipe=small_recipe(accept={"min_solids": 1e6, "max_draws": 1}))
+    refuses("no dataset there", build, hopeless)
     assert not (tmp_path / "d").exists()
-    before = make(tmp_path / "d")
-    with pytest.raises(GenerationError):
-        build(plan(tmp_path / "d", recipe=hopeless), force=True)
-    assert make(tmp_path / "d").samples_written == 0 < before.samples_written
+    make(tmp_path / "d")
+    refuses("in place of a dataset", build, hopeless, force=True)
+    assert make(tmp_path / "d").samples_written == 0
 
 
-@pytest.mark.parametrize(("asked", "said"), cases("dataset/build"))
-def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, asked, said):
-    refuses(said, plan, tmp_path / "d", **json.loads(asked))
+@pytest.mark.parametrize("options", [options for (options,) in cases("dataset/build")])
+def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, options):
+    refuses(options, plan, tmp_path / "d", **json.loads(options))
 
 
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     for force in (False, True):
-        refuses("holds files", lambda force=force: build(plan(tmp_path), force=force))
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-    refuses("is a file", lambda: build(plan(tmp_path / "thesis.tex")))
+        refuses(f"force {force}", build, plan(tmp_path), force=force)
+    assert contents(tmp_path) == {"thesis.tex": b"years of work"}
+    refuses("a file", make, tmp_path / "thesis.tex")
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "dataset.json").write_text('{"format": "somebody else\'s"}')
-    refuses("not a scenegen dataset", lambda: build(plan(tmp_path / "other")))
+    (tmp_path / "other" / NAME).write_text('{"format": "somebody else\'s"}')
+    refuses("another's manifest", make, tmp_path / "other")
 
 
 STRANGE = {
@@ -328,22 +303,30 @@ def test_a_shard_of_strange_content_counts_as_absent(folder):
     path = folder / shard.file
     whole = path.read_bytes()
 
-    def damaged(change, *given, **more):
+    def is_absent(change, *words):
         path.write_bytes(whole)
         with h5py.File(path, "r+") as file:
-            change(file)(*given, **more)
+            change(file, *words)
         return read_report(folder, (shard, None)) is None
 
-    assert not damaged(lambda file: file.attrs.update, note="which nobody reads")
+    def note(file, name, value=None):
+        if value is None:
+            del file.attrs[name]
+        else:
+            file.attrs[name] = value
+
+    def cut(file, name, axes, mask):
+        file[name].id.write_direct_chunk((0,) * axes, b"few", mask)
+
+    assert not is_absent(note, "note", "which nobody reads")
     for name, values in STRANGE.items():
-        assert damaged(lambda file: file.attrs.pop, name)
-        for value in values:
-            assert damaged(lambda file: file.attrs.update, {name: value}), (name, value)
-    for name, place, mask in (("world", (0,), 0), ("ranges", (0, 0, 0), 1), ("tudf", (0,) * 4, 0)):
-        assert damaged(lambda file, of=name: file[of].id.write_direct_chunk, place, b"few", mask)
+        for value in (None, *values):
+            assert is_absent(note, name, value), (name, value)
+    for name, axes, mask in (("world", 1, 0), ("ranges", 3, 1), ("tudf", 4, 0)):
+        assert is_absent(cut, name, axes, mask)
 
 
-def test_a_full_disk_ends_in_one_line_and_loses_nothing(tmp_path, monkeypatch, undisturbed):
+def test_a_full_disk_ends_in_one_line_and_loses_nothing(tmp_path, monkeypatch, whole):
     synced, sync = [], os.fsync
 
     def refuse(handle):
@@ -354,17 +337,15 @@ def test_a_full_disk_ends_in_one_line_and_loses_nothing(tmp_path, monkeypatch, u
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", refuse)
-        refuses("disk is full", make, tmp_path / "d")
+        refuses("full", make, tmp_path / "d")
     assert not list((tmp_path / "d").glob(".*.tmp"))
     make(tmp_path / "d")
-    assert content(tmp_path / "d") == undisturbed
+    assert contents(tmp_path / "d") == contents(whole)
 
 
 def test_too_small_a_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "shutil.disk_usage", lambda path: type("Usage", (), {"free": 10, "total": 20})()
-    )
-    refuses("MB are free", make, tmp_path / "d")
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=10, total=20))
+    refuses("10 bytes", make, tmp_path / "d")
 
 
 def die_of_test_worlds(folder, spec):
@@ -373,9 +354,9 @@ def die_of_test_worlds(folder, spec):
     return spec.write(folder)
 
 
-def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, undisturbed):
+def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, whole):
     with monkeypatch.context() as patch:
         patch.setattr(module, "write_shard", die_of_test_worlds)
-        refuses("worker process was killed", make, tmp_path / "d", workers=2)
+        refuses("killed", make, tmp_path / "d", workers=2)
     make(tmp_path / "d")
-    assert content(tmp_path / "d") == undisturbed
+    assert contents(tmp_path / "d") == contents(whole)

@@ -6,21 +6,19 @@ import hashlib
 import io
 import json
 import pickle
-import re
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
-from scenegen.base.errors import CorruptFileError
 from scenegen.dataset.parameters import RAYS, recipe_text, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from scenegen.worlds.tables import read_toml
 from tests.conftest import plan_of, small_recipe
-from tests.scenegen import cases, refuses
-from tests.scenegen.conftest import built, drawn_unit
+from tests.refusals import refuses
+from tests.scenegen import cases
+from tests.scenegen.conftest import built
 
 
 @pytest.fixture(scope="module")
@@ -36,26 +34,15 @@ def build_with(folder, lidar, engine="mujoco", *, force=False):
     return built(plan_of(folder, recipe, seed=5, engine=engine), force=force)
 
 
-def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit():
-    recipe = small_recipe("geometric")
-    other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
-    one, two = (drawn_unit(it, 2, seed=1).samples for it in (recipe, other))
-    assert len(one) == 3
-    assert [sample.sha256() for sample in one] == [sample.sha256() for sample in two]
-    assert_array_equal(one[0].free, two[0].free)
-
-
 def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
     dataset = build_with(tmp_path, table)
     assert str(dataset.lidar) == "9 × 24 rays of a test, up to 10 m"
     assert dataset.lidar == pickle.loads(pickle.dumps(dataset.lidar)) == table
-    later = BeamTable(rays=np.add(table.rays, [0, 0, 0, 0.1]))
-    assert table not in (later, BeamTable(rays=table.rays, max_range_m=9.0))
     assert dataset.split("train")[0].ranges.shape == (9, 24)
     assert np.load(tmp_path / RAYS, allow_pickle=False).shape == (9, 24, 4)
     assert verify(tmp_path).ok
     (tmp_path / RAYS).unlink()
-    refuses(r"/rays\.npy: is missing.*; copy the dataset again", Dataset, tmp_path)
+    refuses("no rays", Dataset, tmp_path)
     assert build_with(tmp_path, table).lidar == table
     raster = Lidar(rows=8, columns=24)
     assert build_with(tmp_path, raster, force=True).lidar == raster
@@ -75,24 +62,24 @@ HEADER = (
 )
 
 
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [
-        (b"", "no .npy file of numbers"),
-        (npy(UNIT)[:-8], "no .npy file of numbers"),
-        (HEADER + b"\n" + bytes(160), "no .npy file of numbers"),
-        (npy(UNIT.astype("f4")), "of float32"),
-        (npy(np.array([print], object)), "Object arrays cannot be loaded"),
-        (npy(UNIT[:4]), "has shape (4, 4) of float64, expected (5, 4)"),
-        (npy(np.full((5, 4), np.nan)), "a ray's direction has length nan"),
-        (npy(2.0 * UNIT), "a ray's direction has length 2"),
-        (npy(UNIT - [0, 0, 0, 1.0]), "a ray's time is negative"),
-    ],
-)
-def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
-    (tmp_path / RAYS).write_bytes(content)
-    entry = sensor_entry(BeamTable(rays=UNIT)) | {"sha256": hashlib.sha256(content).hexdigest()}
-    refuses(re.escape(told), sensor_of, entry, tmp_path)
+DAMAGED = {
+    "empty": b"",
+    "short": npy(UNIT)[:-8],
+    "huge": HEADER + b"\n" + bytes(160),
+    "float32": npy(UNIT.astype("f4")),
+    "objects": npy(np.array([print], object)),
+    "a ray too few": npy(UNIT[:4]),
+    "nan": npy(np.full((5, 4), np.nan)),
+    "long rays": npy(2.0 * UNIT),
+    "negative times": npy(UNIT - [0, 0, 0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_table_ends_in_one_line(tmp_path, case):
+    (tmp_path / RAYS).write_bytes(DAMAGED[case])
+    digest = hashlib.sha256(DAMAGED[case]).hexdigest()
+    refuses(case, sensor_of, sensor_entry(BeamTable(rays=UNIT)) | {"sha256": digest}, tmp_path)
 
 
 @pytest.mark.parametrize(("name", "value"), cases("dataset/sensor"))
@@ -101,9 +88,7 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     write_rays(table, tmp_path)
     entry = sensor_entry(table)
     assert sensor_of(entry, tmp_path) == table
-    with pytest.raises(CorruptFileError) as error:
-        sensor_of(entry | {name: json.loads(value)}, tmp_path)
-    assert "\n" not in str(error.value)
+    refuses(f"{name} {value}", sensor_of, entry | {name: json.loads(value)}, tmp_path)
 
 
 ODD = "y = 1\n[lidar]\nsensor = 'trap:Sensor'\nx = '''"
@@ -122,11 +107,5 @@ def test_no_text_of_a_manifest_adds_a_line_to_its_recipe_file(table, trap):
 
 
 def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):
-    refuses(
-        "unknown engine 'mujocco'; did you mean 'mujoco'",
-        build_with,
-        tmp_path / "data",
-        Lidar(),
-        "mujocco",
-    )
+    refuses("mujocco", build_with, tmp_path / "data", Lidar(), "mujocco")
     assert not (tmp_path / "data").exists()

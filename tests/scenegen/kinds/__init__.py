@@ -25,24 +25,11 @@ class Solid:
     quaternion: NDArray[np.float64]
 
     @cached_property
-    def rotation(self):
-        return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
-
-    @property
-    def upright(self):
-        """Whether its own vertical is the world's."""
-        return bool(self.rotation[2, 2] > 1 - 1e-12)
-
-    @property
-    def yaw(self):
-        """How far it is turned about the vertical, from 0 to 2 pi."""
-        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]) % (2 * np.pi))
-
-    @cached_property
     def span(self):
         """Its lowest and highest z, by its support function."""
         radius, half, _ = self.size
-        *level, up = np.abs(self.rotation[2])
+        turn = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        *level, up = np.abs(turn[2])
         reach = {
             Geom.mjGEOM_SPHERE: radius,
             Geom.mjGEOM_BOX: self.size @ [*level, up],

@@ -1,103 +1,106 @@
-"""Bags of ROS 2 as drivers write them, by rosbags."""
+"""Recordings as drivers of ROS 2 write them, by mcap's own writer."""
+
+import math
 
 import numpy as np
 import pytest
+
+from scenegen.logs.bags import CLOUD, DEFINITIONS, LIVOX, ODOMETRY, TRANSFORMS
 
 BEGIN_S = 1_700_000_000.0
 PERIOD_S = 0.1
 SPEED_MPS = 10.0
 """Along x."""
+POINT_TYPES = {"u1": 2, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+"""Numbers of types in a PointField."""
+RULE = f"\n{80 * '='}\nMSG: "
+HEADER = "".join(DEFINITIONS[TRANSFORMS].partition(f"{RULE}std_msgs/Header")[1:])
+CUSTOM = f"""std_msgs/Header header
+uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
+{RULE}livox_ros_driver2/CustomPoint
+uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
+{HEADER}"""
+"""The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
 
 
-def ros_types():
-    """The messages of ROS 2, by their short names; skips without rosbags."""
+def definition(kind):
+    """The text of a type's definition."""
+    if kind != ODOMETRY:
+        return {**DEFINITIONS, LIVOX[0]: CUSTOM}[kind]
     stores = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
-    store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-    return store, {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    text, _ = stores.get_typestore(stores.Stores.ROS2_HUMBLE).generate_msgdef(kind, ros_version=2)
+    return text
+
+
+def header(frame, time_s):
+    seconds = math.floor(time_s)
+    stamp = {"sec": seconds, "nanosec": round((time_s - seconds) * 1e9)}
+    return {"stamp": stamp, "frame_id": frame}
+
+
+def named(names, values):
+    """Values by names of one letter."""
+    return dict(zip(names, map(float, values), strict=True))
 
 
 class Bag:
-    """Messages of one bag, written by `write`."""
+    """Messages of one recording, written by `write`."""
 
     def __init__(self):
-        self.store, self.types = ros_types()
+        pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
         self.messages = []
 
-    def header(self, frame, time_s):
-        seconds = int(np.floor(time_s))
-        stamp = self.types["Time"](sec=seconds, nanosec=round((time_s - seconds) * 1e9))
-        return self.types["Header"](stamp=stamp, frame_id=frame)
+    def add(self, topic, time_s, kind, frame, **fields):
+        fields["header"] = header(frame, time_s)
+        self.messages.append((topic, time_s, kind, fields))
 
     def cloud(self, time_s, points, frame="lidar", topic="/points", row_step=None, **fields):
         """A PointCloud2 of points (n, 3), with other fields (n,)."""
         columns = dict(zip("xyz", np.asarray(points, "f4").T, strict=True)) | fields
-        layout = np.dtype([(name, values.dtype) for name, values in columns.items()])
-        rows = np.empty(len(points), layout)
-        for name, values in columns.items():
-            rows[name] = values
-        numbers = {"u4": 6, "i4": 5, "f4": 7, "f8": 8, "u1": 2}
+        rows = np.rec.fromarrays(columns.values(), names=list(columns))
         described = [
-            self.types["PointField"](
-                name=name,
-                offset=layout.fields[name][1],
-                datatype=numbers[layout[name].str[1:]],
-                count=1,
-            )
-            for name in layout.names
+            {"name": name, "offset": offset, "datatype": POINT_TYPES[kind.str[1:]], "count": 1}
+            for name, (kind, offset) in rows.dtype.fields.items()
         ]
-        message = self.types["PointCloud2"](
-            header=self.header(frame, time_s),
+        self.add(
+            *(topic, time_s, CLOUD, frame),
             height=1,
             width=len(rows),
             fields=described,
-            is_bigendian=False,
-            point_step=layout.itemsize,
+            point_step=rows.itemsize,
             row_step=rows.nbytes if row_step is None else row_step,
-            data=np.frombuffer(rows.tobytes(), np.uint8),
-            is_dense=True,
+            data=rows.tobytes(),
         )
-        self.messages.append((topic, time_s, message))
 
     def transform(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/tf"):
         """A transform, turned by x y z w."""
-        place = self.types["Vector3"](**dict(zip("xyz", map(float, position), strict=True)))
-        turned = self.types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True)))
-        link = self.types["TransformStamped"](
-            header=self.header(parent, time_s),
-            child_frame_id=child,
-            transform=self.types["Transform"](translation=place, rotation=turned),
-        )
-        self.messages.append((topic, time_s, self.types["TFMessage"](transforms=[link])))
+        link = {
+            "header": header(parent, time_s),
+            "child_frame_id": child,
+            "transform": {"translation": named("xyz", position), "rotation": named("xyzw", turn)},
+        }
+        self.messages.append((topic, time_s, TRANSFORMS, {"transforms": [link]}))
 
-    def odometry(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/odom"):
+    def odometry(self, time_s, child, parent, position, turn):
         """A message of odometry, turned by x y z w."""
-        types, none = self.types, np.zeros(36)
-        zero = types["Vector3"](x=0.0, y=0.0, z=0.0)
-        pose = types["Pose"](
-            position=types["Point"](**dict(zip("xyz", map(float, position), strict=True))),
-            orientation=types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True))),
-        )
-        twist = types["Twist"](linear=zero, angular=zero)
-        message = types["Odometry"](
-            header=self.header(parent, time_s),
-            child_frame_id=child,
-            pose=types["PoseWithCovariance"](pose=pose, covariance=none),
-            twist=types["TwistWithCovariance"](twist=twist, covariance=none),
-        )
-        self.messages.append((topic, time_s, message))
+        pose = {"position": named("xyz", position), "orientation": named("xyzw", turn)}
+        pose = {"pose": pose, "covariance": [0.0] * 36}
+        twist = {"twist": {}, "covariance": [0.0] * 36}
+        self.add("/odom", time_s, ODOMETRY, parent, child_frame_id=child, pose=pose, twist=twist)
 
     def write(self, path):
-        """Puts all messages into a bag's folder, in the order of their times."""
-        from rosbags.rosbag2 import Writer
+        """Puts all messages into a .mcap, in the order of their times; its path."""
+        from mcap_ros2.writer import Writer
 
-        connections = {}
-        with Writer(path, version=9) as writer:
-            for topic, time_s, message in sorted(self.messages, key=lambda row: row[1]):
-                kind = message.__msgtype__
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                content = self.store.serialize_cdr(message, kind)
-                writer.write(connections[topic], round(time_s * 1e9), content)
+        path = path.with_suffix(".mcap")
+        with path.open("wb") as file:
+            writer, schemas = Writer(file), {}
+            for topic, time_s, kind, message in sorted(self.messages, key=lambda row: row[1]):
+                if kind not in schemas:
+                    schemas[kind] = writer.register_msgdef(kind, definition(kind))
+                when_ns = round(time_s * 1e9)
+                writer.write_message(topic, schemas[kind], message, log_time=when_ns)
+            writer.finish()
         return path
 
 

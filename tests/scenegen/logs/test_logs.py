@@ -17,17 +17,19 @@ from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import MID_360
 from scenegen.draw.source import read_world
 from scenegen.logs import Cruise, Fusing, LogScan
-from scenegen.logs.bags import DEFINITIONS, LIVOX, TRANSFORMS
+from scenegen.logs.bags import LIVOX
 from scenegen.logs.fuse import ingest
 from scenegen.logs.log import Log
 from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, matrix_of, record, write_log
 from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.place import read_place
-from tests.command_line import done, refused
+from tests.command_line import done
 from tests.conftest import contents
-from tests.scenegen import cases, refuses
+from tests.refusals import refuses, refuses_command
+from tests.scenegen import cases
 from tests.scenegen.conftest import names
+from tests.scenegen.logs.bags import Bag, named
 
 # no face of a solid lies where voxels meet
 ROOM = """<mujoco><worldbody>
@@ -42,9 +44,7 @@ elevations_deg = [-40, -30, -20, -10, -5, 0, 5, 10, 20, 30]
 columns = 180
 max_range_m = 30.0
 """
-RECORD = (
-    "scan room.xml --flight --sequence --length 12 --seed 3 --lidar mine.toml --noise intensity"
-)
+RECORD = "scan room.xml --flight --sequence --length 6 --seed 3 --lidar mine.toml --noise intensity"
 
 
 @pytest.fixture
@@ -65,9 +65,8 @@ def test_a_long_flight_keeps_its_bounds(here):
     world, cruise = read_world(here / "room.xml"), Cruise(length_m=60, speed_mps=3)
     poses = cruise_poses(world, cruise, 0.1, seed=1)
     positions = np.array([pose.position for pose in poses])
-    speeds = np.sqrt((np.diff(positions, axis=0) ** 2).sum(axis=1)) / 0.1
+    speeds, pulls = (np.linalg.norm(np.diff(positions, n, axis=0), axis=1) / 0.1**n for n in (1, 2))
     yaws = np.unwrap([2 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in poses])
-    pulls = np.sqrt((np.diff(positions, 2, axis=0) ** 2).sum(axis=1)) / 0.01
     assert 2.9 < speeds.max() <= 3 + 1e-6
     assert 0.1 * speeds.sum() == pytest.approx(60, abs=3)
     assert abs(np.degrees(np.diff(yaws))).max() <= 0.1 * 60 + 1e-6
@@ -77,19 +76,20 @@ def test_a_long_flight_keeps_its_bounds(here):
 
 def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys):
     done(capsys, f"{RECORD} -o still --quiet")
-    said = done(capsys, "ingest still -o maps --rise 4 --every 20 --json")
-    told, world = json.loads(said), read_world(here / "room.xml")
-    assert told["scans"] > 50
-    assert told["scans_without_overlap"] == told["scans_without_pose"] == 0
+    counts = json.loads(done(capsys, "ingest still -o maps --rise 4 --every 20 --json"))
+    world = read_world(here / "room.xml")
+    assert counts["scans"] > 20
+    assert counts["scans_without_overlap"] == counts["scans_without_pose"] == 0
     voxels = read_place(here / "maps" / "place-000.npz").voxels
     free, occupied = voxels.states == 1, voxels.states == 2
-    size = {"shape": voxels.states.shape, "voxel_m": voxels.voxel_m}
-    solid = world.truth(GridSpec(**size), voxels.origin)["occupancy"]
-    surface = world.truth(GridSpec(**size, hollow=True), voxels.origin)["occupancy"]
+    solid, surface = (
+        world.truth(GridSpec(shape=free.shape, hollow=hollow), voxels.origin)["occupancy"]
+        for hollow in (False, True)
+    )
     assert not (solid & ~surface & free).any()
     assert occupied.sum() > 1000
     assert solid[occupied].all()
-    assert told["moved_voxels"] < 0.05 * occupied.sum()
+    assert counts["moved_voxels"] < 0.05 * occupied.sum()
     seen = sorted((here / "maps" / "observations").glob("*.npz"))
     assert [path.stem for path in seen] == [f"{20 * n:06d}" for n in range(len(seen))]
     for sample in map(np.load, seen):
@@ -148,12 +148,11 @@ def close(log, scans):
 
 
 def test_every_layout_of_a_log_reads_back(tmp_path):
-    log, clouds, csv = tmp_path / "sequences" / "00", tmp_path / "clouds", tmp_path / "poses.csv"
-    log.parent.mkdir()
+    log, clouds, csv = (tmp_path / name for name in ("log", "clouds", "poses.csv"))
     clouds.mkdir()
     scans = written(log)
     assert close(read_log(log), scans)
-    refuses("leave out --topic", read_log, log, topic="/points")
+    refuses("a topic", read_log, log, topic="/points")
     for scan in scans:
         write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points, None, {})
     rows = ["z,y,x,qw,qx,qy,qz,t,note"]
@@ -168,16 +167,6 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     late = read_log(clouds, poses=csv)
     assert late.without_pose == 1
     assert close(late, scans)
-    # as KITTI's archives have it: poses of a camera, elsewhere
-    camera = Pose(np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.5, -0.5, 0.5]))
-    turn = matrix_of(camera)
-    rows = [turn @ matrix_of(one.pose) @ np.linalg.inv(turn) for one in scans]
-    (tmp_path / "poses").mkdir()
-    (log / "poses.txt").unlink()
-    np.savetxt(tmp_path / "poses" / "00.txt", [row[:3].reshape(-1) for row in rows])
-    tr = " ".join(map(str, turn[:3].reshape(-1)))
-    (log / "calib.txt").write_text(f"P0: 1 2\nTr: {tr}\n")
-    assert close(read_log(log), scans)
 
 
 @pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
@@ -195,31 +184,23 @@ def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
     assert close(read_log(tmp_path / form), scans)
 
 
+def log_of(scans):
+    """A log in memory."""
+    times, poses = np.array([scan.time_s for scan in scans]), tuple(scan.pose for scan in scans)
+    return Log(times, poses, 0, lambda first: iter(scans[first:]))
+
+
 def test_rays_without_a_return_change_no_map(tmp_path):
     """A third of each scan is 0 0 0 of the sensor's, also where a driver moved the cloud."""
     points = 6.03 * Lidar().directions_body.reshape(-1, 3)
     lost, arm = np.arange(len(points)) % 6 < 2, np.array([0.0, 0.3, 1.2])
     pose, maps = Pose.level((0.0, 0.0, 0.0)), []
     for number, seen in enumerate((np.where(lost[:, None], 0, points) + arm, points[~lost] + arm)):
-        scans = [LogScan(0.0, pose, seen)]
-        log = Log(np.zeros(1), (pose,), 0, lambda first, scans=scans: iter(scans[first:]))
-        counts = ingest(log, tmp_path / f"{number}", Fusing())
+        counts = ingest(log_of([LogScan(0.0, pose, seen)]), tmp_path / f"{number}", Fusing())
         maps.append(read_place(tmp_path / f"{number}" / "place-000.npz").voxels)
-        assert (counts["returns"], counts["returns_left_out"]) == (
-            *((~lost).sum(), lost.sum() * (number == 0)),
-        )
+        expected = (~lost).sum(), lost.sum() * (number == 0)
+        assert (counts["returns"], counts["returns_left_out"]) == expected
     assert np.array_equal(maps[0].states, maps[1].states)
-
-
-def test_clouds_that_no_sensor_returns_end_in_a_line(tmp_path, capsys):
-    scans = written(tmp_path / "log")
-    cloud = tmp_path / "log" / "velodyne" / "000002.bin"
-    rows = np.fromfile(cloud, "<f4").reshape(-1, 4)
-    rows[7, 1] = 3e5
-    rows.tofile(cloud)
-    said = refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
-    assert "000002.bin: 1 of 40 points lie up to 3e+05 m from the sensor" in said
-    assert len(scans) == 5
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
@@ -228,13 +209,11 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     near = np.where(np.arange(len(wall))[:, None] % 2, wall, 0.5 * wall)
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
     clouds = [(here, near if n in (5, 90) else wall) for n in range(100)] + [(far, wall)]
-
-    def scans(first):
-        for n, (pose, points) in enumerate(clouds):
-            yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
-
-    log = Log(np.arange(101) / 10, tuple(pose for pose, _ in clouds), 0, scans)
-    counts = ingest(log, tmp_path / "maps", Fusing(every=100))
+    scans = [
+        LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
+        for n, (pose, points) in enumerate(clouds)
+    ]
+    counts = ingest(log_of(scans), tmp_path / "maps", Fusing(every=100))
     assert (counts["scans_without_overlap"], counts["returns_left_out"]) == (1, 2 * 101)
     assert counts["moved_voxels"] > 100
     assert 0 <= counts["returns_outside_truth"] < counts["observed_returns"]
@@ -264,10 +243,9 @@ def ingest_and_be_killed(log, out, at):
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     """Of a place that takes several maps."""
     monkeypatch.setattr(scenegen.logs.fuse, "MAX_PLACE_VOXELS", 800_000)
-    log, how = tmp_path / "log", NEAR
-    whole, out, mended = (tmp_path / name for name in ("whole", "out", "mended"))
+    log, whole, out, mended = (tmp_path / name for name in ("log", "whole", "out", "mended"))
     written(log, 12)
-    counts = ingest(read_log(log), whole, how)
+    counts = ingest(read_log(log), whole, NEAR)
     assert counts["maps"] > 1
     for at in (7, 2):  # killed, and killed again
         child = os.fork()
@@ -275,65 +253,57 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
             ingest_and_be_killed(log, out, at)
         assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
     assert not out.exists()
-    refuses("other options", lambda: ingest(read_log(log), out, dataclasses.replace(NEAR, every=3)))
-    done = []
-    assert ingest(read_log(log), out, how, on_done=done.append) == counts
-    assert done[0] == 9
+    refuses("other options", ingest, read_log(log), out, dataclasses.replace(NEAR, every=3))
+    progress = []
+    assert ingest(read_log(log), out, NEAR, on_done=progress.append) == counts
+    assert progress[0] == 9
     assert not (tmp_path / "out.part").exists()
     cloud = log / "velodyne" / "000008.bin"
     content = cloud.read_bytes()
     cloud.write_bytes(content[:7])
-    refuses(
-        r"000008\.bin: .*; mend it and .* from scan 8 of 12",
-        lambda: ingest(read_log(log), mended, how),
-    )
+    refuses("damaged", ingest, read_log(log), mended, NEAR)
     cloud.write_bytes(content)
-    assert ingest(read_log(log), mended, how) == counts
+    assert ingest(read_log(log), mended, NEAR) == counts
     assert contents(out) == contents(mended) == contents(whole)
 
 
-@pytest.mark.parametrize(("file", "content", "expected"), cases("logs/logs"))
-def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, content, expected):
-    written(tmp_path / "log")
-    path = tmp_path / "log" / file
+@pytest.mark.parametrize(("case", "file", "content"), cases("logs/logs"))
+def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, case, file, content):
+    log = tmp_path / "log"
+    written(log)
     if content == "gone":
-        path.rename(tmp_path / "aside")
+        (log / file).rename(tmp_path / "aside")
     else:
-        path.write_text(content.replace(";", "\n"))
-    assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
+        (log / file).write_text(content.replace(";", "\n"))
+    refuses(case, lambda: ingest(read_log(log), tmp_path / "out", Fusing()))
     assert names(tmp_path) <= {"log", "aside"}
 
 
 def test_what_poses_are_of_is_said_or_asked_for(tmp_path):
     """A camera that looks forward: x right, y down, z forward."""
-    log, turn = tmp_path / "log", np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    log, turn = tmp_path / "sequences" / "00", np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    log.parent.mkdir()
     scans = written(log)
     # the sensor, .3 m behind the camera and .1 m above it, in the camera's frame
     camera = np.eye(4)
     camera[:3, :3], camera[:3, 3] = turn, (0, -0.1, -0.3)
-    of_camera = [camera @ matrix_of(one.pose) @ np.linalg.inv(camera) for one in scans]
-    np.savetxt(tmp_path / "camera.txt", [matrix[:3].reshape(-1) for matrix in of_camera])
+    of_camera = [camera @ matrix_of(scan.pose) @ np.linalg.inv(camera) for scan in scans]
+    poses = tmp_path / "poses" / "00.txt"  # as KITTI's archives have it
+    poses.parent.mkdir()
+    np.savetxt(poses, [matrix[:3].reshape(-1) for matrix in of_camera])
     images = "P0: 7 0 0 0 0 7 0 0 0 0 1 0\nP1: 7 0 0 1 0 7 0 0 0 0 1 0\n"  # as with KITTI's images
     (log / "calib.txt").write_text(images)
     assert close(read_log(log, poses_of="sensor"), scans)
-    assert close(read_log(log, poses=log / "poses.txt"), scans)
-    refuses(
-        r"no line Tr.*--poses-of sensor",
-        read_log,
-        log,
-        poses=tmp_path / "camera.txt",
-        poses_of="camera",
-    )
+    refuses("no Tr", read_log, log, poses=poses, poses_of="camera")
     row = " ".join(map(str, camera[:3].reshape(-1)))
     (log / "calib.txt").write_text(f"{images}Tr: {row}\n")
-    assert close(read_log(log, poses=tmp_path / "camera.txt", poses_of="camera"), scans)
-    assert close(read_log(log, poses=log / "poses.txt", poses_of="sensor"), scans)
+    assert close(read_log(log, poses=poses, poses_of="camera"), scans)
+    assert close(read_log(log, poses_of="sensor"), scans)
     assert close(read_log(log, poses=log / "poses.tum"), scans)
-    refuses("expected --poses-of camera", read_log, log, poses=tmp_path / "camera.txt")
-    shutil.copy(tmp_path / "camera.txt", log / "poses.txt")
+    refuses("not said", read_log, log, poses=poses)
+    (log / "poses.txt").unlink()
     assert close(read_log(log), scans)
-    about = read_log(log).about
-    assert about["poses"] == "poses of the camera, moved by Tr, from poses.txt"
+    assert read_log(log).about["poses"] == "poses of the camera, moved by Tr, from 00.txt"
 
 
 NAMED = {
@@ -341,110 +311,73 @@ NAMED = {
     "µs": "{seconds}{microseconds:06d}",
     "padded": "{seconds}_{nanoseconds:09d}",
     "point": "{seconds}.{nanoseconds:09d}",
+    "nuScenes": "n008-2018__LIDAR_TOP__{seconds}{microseconds:06d}",
 }
 
 
 @pytest.mark.parametrize("form", NAMED)
 @pytest.mark.parametrize("begin_s", [1_700_000_000, 3_000])
 def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s):
-    scans, rows = written(tmp_path / "log"), []
-    (tmp_path / "clouds").mkdir()
-    for scan in scans:
-        at = round(scan.time_s * 1e9) + begin_s * 10**9 + 123_456_000
-        seconds, ns = divmod(at, 10**9)
-        parts = {"seconds": seconds, "nanoseconds": ns, "microseconds": ns // 1000}
-        name = NAMED[form].format(**parts)
-        write_points(tmp_path / "clouds" / f"{name}.ply", scan.points, None, {})
-        w, *vector = scan.pose.quaternion
-        rows.append([at * 1e-9, *scan.pose.position, *vector, w])
-    rows.append([rows[-1][0] + 9, *rows[-1][1:]])
-    np.savetxt(tmp_path / "poses.tum", rows, "%.9f")
-    log = read_log(tmp_path / "clouds", poses=tmp_path / "poses.tum")
+    scans, poses, clouds = written(tmp_path / "log"), tmp_path / "poses.tum", tmp_path / "clouds"
+    clouds.mkdir()
+    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
+    for row, scan in zip(rows, scans, strict=True):
+        at_ns = round(scan.time_s * 1e9) + begin_s * 10**9 + 123_456_000
+        row[0], (seconds, ns) = at_ns * 1e-9, divmod(at_ns, 10**9)
+        name = NAMED[form].format(seconds=seconds, nanoseconds=ns, microseconds=ns // 1000)
+        write_points(clouds / f"{name}.ply", scan.points, None, {})
+    np.savetxt(poses, [*rows, rows[-1] + np.eye(1, 8)[0] * 9], "%.9f")
+    log = read_log(clouds, poses=poses)
     assert log.without_pose == 0
     for pose, scan in zip(log.poses, scans, strict=True):
         assert np.allclose(matrix_of(pose), matrix_of(scan.pose), atol=1e-5)
-    (tmp_path / "clouds" / f"{begin_s + 3}_5.ply").write_bytes(
-        (tmp_path / "clouds" / f"{name}.ply").read_bytes()
-    )
     if form == "padded":
-        refuses(
-            "fractions of a second of several lengths",
-            read_log,
-            tmp_path / "clouds",
-            poses=tmp_path / "poses.tum",
-        )
+        shutil.copy(clouds / f"{name}.ply", clouds / f"{begin_s + 3}_5.ply")
+        refuses(begin_s, read_log, clouds, poses=poses)
 
 
-@pytest.mark.parametrize("name", ["scan_{n:03d}", "n008-2018__LIDAR_TOP__{us}"])
-def test_clouds_of_other_names_have_poses_in_order_or_by_the_time_within(tmp_path, name):
+def test_clouds_of_other_names_have_poses_in_order(tmp_path):
     scans, poses, clouds = written(tmp_path / "log"), tmp_path / "poses.tum", tmp_path / "clouds"
     clouds.mkdir()
-    rows = np.loadtxt(tmp_path / "log" / "poses.tum") + np.eye(1, 8) * 1_532_402_927
     for n, scan in enumerate(scans):
-        file = clouds / f"{name.format(n=n, us=round(rows[n, 0] * 1e6))}.pcd.bin"
-        np.pad(scan.points, ((0, 0), (0, 2))).astype("<f4").tofile(file)
+        columns = np.pad(scan.points, ((0, 0), (0, 2)))
+        columns.astype("<f4").tofile(clouds / f"scan_{n:03d}.pcd.bin")
+    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
     np.savetxt(poses, rows, "%.9f")
-    log = read_log(clouds, poses=poses)
-    assert log.times_s == pytest.approx(rows[:, 0])
-    assert all(np.array_equal(a.points, b.points) for a, b in zip(log.scans(), scans, strict=True))
+    assert close(read_log(clouds, poses=poses), scans)
     np.savetxt(poses, rows[:-1], "%.9f")
-    if "us" in name:
-        assert read_log(clouds, poses=poses).without_pose == 1
-    else:
-        refuses("5 clouds and 4 poses", read_log, clouds, poses=poses)
+    refuses("a pose too few", read_log, clouds, poses=poses)
 
 
-def test_a_log_without_a_point_in_reach_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
-    ingested = f"ingest {tmp_path}/log -o {tmp_path}/out --quiet"
-    written(tmp_path / "log")
-    for value, told in ((1e3, "expected clouds in metres"), (np.nan, "no scan of the log")):
-        for path in (tmp_path / "log" / "velodyne").iterdir():
-            path.write_bytes(np.full(40, value, "<f4").tobytes())
-        assert told in refused(capsys, ingested)
-    (tmp_path / "log" / "poses.txt").rename(tmp_path / "log" / "metadata.yaml")
-    assert "recording of ROS" in refused(capsys, ingested)
-    assert not (tmp_path / "out").exists()
-
-
-def named(names, values):
-    return dict(zip(names, values, strict=True))
-
-
-RULE = f"\n{80 * '='}\nMSG: "
-HEADER = "".join(DEFINITIONS[TRANSFORMS].partition(f"{RULE}std_msgs/Header")[1:])
-CUSTOM = f"""std_msgs/Header header
-uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
-{RULE}livox_ros_driver2/CustomPoint
-uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
-{HEADER}"""
-"""The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
+@pytest.mark.parametrize("case", ["a point 300 km away", "1e3", "nan", "no data"])
+def test_a_log_without_points_of_a_sensor_makes_no_maps(tmp_path, case):
+    log, out = tmp_path / "log", tmp_path / "out"
+    written(log)
+    for path in sorted((log / "velodyne").iterdir()):
+        if case in ("1e3", "nan"):
+            path.write_bytes(np.full(40, float(case), "<f4").tobytes())
+    if case == "a point 300 km away":
+        values = np.fromfile(path, "<f4")
+        values[29] = 3e5
+        values.tofile(path)
+    if case == "no data":
+        (log / "poses.txt").rename(log / "metadata.yaml")
+    refuses(case, lambda: ingest(read_log(log), out, Fusing()))
+    assert not out.exists()
 
 
 def write_livox(path, scans, missing=0):
     """Puts scans into CustomMsg, and their poses into transforms; `missing` more points are
     promised."""
-    from mcap_ros2.writer import Writer
-
-    with path.open("wb") as file:
-        writer = Writer(file)
-        custom = writer.register_msgdef(LIVOX[0], CUSTOM)
-        transforms = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
-        for scan in scans:
-            when = round(scan.time_s * 1e9)
-            stamp = {"sec": when // 10**9, "nanosec": when % 10**9}
-            rows = zip(scan.points.tolist(), scan.more["t"].tolist(), strict=True)
-            points = [{"offset_time": round(1e9 * t), **named("xyz", p)} for p, t in rows]
-            head, promised = {"stamp": stamp, "frame_id": "livox_frame"}, len(points) + missing
-            message = {"header": head, "timebase": when, "point_num": promised, "points": points}
-            turn = named("wxyz", scan.pose.quaternion)
-            link = {
-                "header": head | {"frame_id": "map"},
-                "child_frame_id": "livox_frame",
-                "transform": {"translation": named("xyz", scan.pose.position), "rotation": turn},
-            }
-            writer.write_message("/tf", transforms, {"transforms": [link]}, log_time=when)
-            writer.write_message("/livox/lidar", custom, message, log_time=when)
-        writer.finish()
+    bag, frame = Bag(), "livox_frame"
+    for scan in scans:
+        rows = zip(scan.points, scan.more["t"], strict=True)
+        points = [{"offset_time": round(1e9 * t), **named("xyz", point)} for point, t in rows]
+        counts = {"timebase": round(scan.time_s * 1e9), "point_num": len(points) + missing}
+        bag.add("/livox/lidar", scan.time_s, LIVOX[0], frame, points=points, **counts)
+        turn = np.roll(scan.pose.quaternion, -1)
+        bag.transform(scan.time_s, frame, "map", scan.pose.position, turn)
+    bag.write(path)
 
 
 def test_livox_s_own_messages_are_read(tmp_path, ros):
@@ -453,23 +386,20 @@ def test_livox_s_own_messages_are_read(tmp_path, ros):
     write_livox(tmp_path / "livox.mcap", scans)
     log = read_log(tmp_path / "livox.mcap")
     assert close(log, scans)
-    assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
+    for scan in log.scans():
+        assert scan.more["t"] == pytest.approx(times, abs=1e-9)
     write_livox(tmp_path / "short.mcap", scans, missing=1)
-    refuses(
-        "promises 41 points and holds 40", lambda: list(read_log(tmp_path / "short.mcap").scans())
-    )
+    refuses("a point too few", lambda: list(read_log(tmp_path / "short.mcap").scans()))
 
 
 @pytest.mark.parametrize("cut", [0, 20, 1000, -1])
-def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut, ros):
-    path, out = tmp_path / "cut.mcap", tmp_path / "out"
+def test_cut_recordings_end_in_one_line(tmp_path, cut, ros):
+    path = tmp_path / "cut.mcap"
     written(path)
     path.write_bytes(path.read_bytes()[:cut])
-    told = refused(capsys, f"ingest {path} -o {out} --quiet")
-    assert "cut.mcap: cannot be read as a recording" in told
-    assert not out.exists()
+    refuses(cut, lambda: list(read_log(path).scans()))
 
 
-@pytest.mark.parametrize(("words", "expected"), cases("logs/logs_bad_use"))
-def test_bad_use_is_told(capsys, words, expected):
-    assert expected in refused(capsys, words)
+@pytest.mark.parametrize("words", [words for (words,) in cases("logs/logs_bad_use")])
+def test_bad_use_is_told(capsys, words):
+    refuses_command(capsys, words)

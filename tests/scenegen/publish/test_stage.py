@@ -1,13 +1,10 @@
 """The published folder: still the dataset, readable by everyone, whole or absent, and true to what
 it says."""
 
-import dataclasses
 import hashlib
 import json
 import re
-import shlex
-import subprocess
-import sys
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -15,11 +12,12 @@ import pytest
 
 from scenegen.dataset.read import Dataset
 from scenegen.publish import stage as folder_module
-from scenegen.publish.stage import Request, stage
+from scenegen.publish.stage import Request, examine, stage
 from scenegen.view.inspect import inspect
-from tests.command_line import done
+from tests.command_line import python
 from tests.conftest import COUNTS, contents, dataset_in, small_recipe
-from tests.scenegen import cases, refuses
+from tests.refusals import refuses
+from tests.scenegen import cases
 from tests.scenegen.conftest import names
 from tests.scenegen.verification.forge import edit_at
 
@@ -36,6 +34,10 @@ def out(made, tmp_path_factory):
     return out
 
 
+def digests(files):
+    return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+
+
 def section(card, language, title):
     """Code blocks of a language under a heading."""
     body = card.partition(f"## {title}\n")[2].partition("\n## ")[0]
@@ -43,35 +45,30 @@ def section(card, language, title):
 
 
 def test_it_is_still_the_dataset_and_every_file_is_listed_with_its_digest(out, made):
-    there = contents(out)
-    assert there.items() >= contents(made).items()
-    listed = [line.split("  ") for line in there.pop("SHA256SUMS").decode().splitlines()]
-    assert {name: digest for digest, name in listed} == {
-        name: hashlib.sha256(content).hexdigest() for name, content in there.items()
-    }
+    files = contents(out)
+    assert files.items() >= contents(made).items()
+    listed = [line.split("  ") for line in files.pop("SHA256SUMS").decode().splitlines()]
+    assert {name: digest for digest, name in listed} == digests(files)
     assert not [path for path in out.rglob("*") if path.is_symlink()]
 
 
 def test_the_cards_own_lines_read_it_with_plain_h5py(out):
     lines = section((out / "README.md").read_text(), "python", "Load it")[0]
-    assert len(lines.splitlines()) <= 10
     assert "scenegen" not in lines
-    said = subprocess.run(
-        [sys.executable, "-c", lines], cwd=out.parent, capture_output=True, text=True, check=True
-    )
     with h5py.File(out / "train-00000.h5") as shard:
         seen, solid = shard["observed"][0].sum(), shard["occupancy"][0].sum()
-    assert said.stdout == f"{seen} of {solid} occupied voxels were observed\n"
+    printed = python("-c", lines, cwd=out.parent).stdout
+    assert printed == f"{seen} of {solid} occupied voxels were observed\n"
 
 
 def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
     import datasets
 
     monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
-    found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
-    assert {name: len(split) for name, split in found.items()} == COUNTS
+    splits = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
+    assert {name: len(split) for name, split in splits.items()} == COUNTS
     for split in ("train", "test"):
-        mine, theirs = Dataset(out).split(split)[-1], found[split][COUNTS[split] - 1]
+        mine, theirs = Dataset(out).split(split)[-1], splits[split][COUNTS[split] - 1]
         for name in ("observed", "occupancy", "tudf", "ranges", "position", "world"):
             value = np.asarray(getattr(mine, name))  # numpy's format has float32
             assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), name
@@ -92,18 +89,16 @@ def test_croissant_is_valid_and_describes_what_is_there(out, made):
     about = "dataCollection dataBiases dataLimitations dataUseCases personalSensitiveInformation"
     assert all(plain[f"rai:{name}"] for name in about.split())
     files = {item["@id"]: item["sha256"] for item in plain["distribution"] if "sha256" in item}
-    for path in made.iterdir():
-        assert files[path.name] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert files.items() >= digests(contents(made)).items()
     with h5py.File(out / "test-00000.h5") as shard:
         described = {field["name"]: field for field in plain["recordSet"][2]["field"]}
         assert set(described) == set(shard)
         assert plain["recordSet"][2]["key"] == [{"@id": "test/sha256"}]
-        kinds = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}
         for name, stored in shard.items():
             shape = described[name].get("arrayShape", "")
             assert shape == ",".join(map(str, stored.shape[1:]))
-            bits = "" if stored.dtype.kind == "b" else str(8 * stored.dtype.itemsize)
-            assert described[name]["dataType"] == kinds[stored.dtype.kind] + bits
+            kind = described[name]["dataType"].partition(":")[2].lower()
+            assert kind.replace("boolean", "bool") == stored.dtype.name
 
 
 def test_the_card_says_what_the_files_hold(out, made):
@@ -123,12 +118,10 @@ def test_the_card_says_what_the_files_hold(out, made):
         assert (out / shown).read_bytes().startswith(b"\x89PNG")
 
 
-def test_its_command_makes_the_same_dataset(out, made, tmp_path, monkeypatch, capsys):
-    words = shlex.split(section((out / "README.md").read_text(), "", "Make it again")[0])
-    assert words == ["scenegen", "generate", "--like", "dataset.json", "--out", "small-pillars"]
-    monkeypatch.chdir(out)
-    done(capsys, *words[1:-1], tmp_path / "again", "--workers", 1)
-    assert Dataset(tmp_path / "again").digest == Dataset(made).digest
+def test_its_command_makes_the_same_dataset(out):
+    """As test_like.py shows."""
+    command = section((out / "README.md").read_text(), "", "Make it again")[0].split()
+    assert command[2:] == ["--like", "dataset.json", "--out", "small-pillars"]
 
 
 def test_the_lock_has_the_versions_that_made_it(out, made):
@@ -139,11 +132,17 @@ def test_the_lock_has_the_versions_that_made_it(out, made):
     assert dict(line.split("==") for line in lines) == software
 
 
-@pytest.mark.parametrize(("path", "value", "told"), cases("publish/stage"))
-def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, value, told):
+@pytest.mark.parametrize(("path", "value"), cases("publish/stage"))
+def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, value):
     edit_at(dataset, path, value)
-    refuses(told, stage, asked, CHECKS)
+    refuses(path, stage, asked, CHECKS)
     assert not asked.out.exists()
+
+
+@pytest.mark.parametrize("named", [None, "a:C", "pillar"])
+def test_a_kind_of_somebody_elses_has_to_be_named(asked, dataset, named):
+    edit_at(dataset, "recipe.kind", '"a:B"')
+    refuses(named, examine, replace(asked, kind=named))
 
 
 def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
@@ -174,12 +173,9 @@ def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked
 def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
     stage(asked, CHECKS)
     (asked.out / "notes.md").write_text("mine")
-    refuses(r"holds notes.md, which publish did not put there", stage, asked, CHECKS)
+    refuses("notes", stage, asked, CHECKS)
     for out in (dataset, dataset / "inside", dataset.parent):
-        refuses(
-            "overlaps the dataset",
-            lambda out=out: stage(dataclasses.replace(asked, out=out), CHECKS),
-        )
+        refuses(out.name, stage, replace(asked, out=out), CHECKS)
     assert Dataset(dataset).manifest.complete
 
 
@@ -188,15 +184,13 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
     shard.write_bytes(content)
-    refuses(r"val-00000.h5: is not the file that dataset.json", stage, asked, CHECKS)
+    refuses("damaged", stage, asked, CHECKS)
     assert list(asked.out.parent.iterdir()) == []
 
 
 def test_too_many_files_are_refused_with_what_helps(asked, monkeypatch):
     monkeypatch.setattr("scenegen.publish.stage.MAX_FILES", 13)
-    refuses(
-        r"14 files, more than the 13 .* --shard-samples, which changes no", stage, asked, CHECKS
-    )
+    refuses("13", stage, asked, CHECKS)
 
 
 def test_where_links_are_not_possible_files_are_copied(asked, monkeypatch):
@@ -211,13 +205,11 @@ def test_where_links_are_not_possible_files_are_copied(asked, monkeypatch):
 
 
 def test_a_collection_is_not_published(asked, dataset):
-    refuses(
-        "not a dataset", lambda: stage(dataclasses.replace(asked, dataset=dataset.parent), CHECKS)
-    )
+    refuses("collection", stage, replace(asked, dataset=dataset.parent), CHECKS)
 
 
 @pytest.mark.parametrize(
     "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/x y", "--repo", "ada/x.git"]
 )
 def test_a_repository_that_cannot_be_one_is_refused(name, tmp_path):
-    refuses("expected user/name", Request, dataset=tmp_path, repository=name, out=tmp_path)
+    refuses(name, Request, dataset=tmp_path, repository=name, out=tmp_path)

@@ -11,11 +11,11 @@ def server(tmp_path, monkeypatch):
     """The server of s3://, which begins empty."""
     pytest.importorskip("s3fs")
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
-    with Served(tmp_path / "store") as found:
-        for name, value in found.environment.items():
+    with Served(tmp_path / "store") as served:
+        for name, value in served.environment.items():
             monkeypatch.setenv(name, value)
         forget()
-        yield found
+        yield served
     forget()
 
 

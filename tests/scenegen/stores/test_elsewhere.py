@@ -9,13 +9,11 @@ from scenegen.base.errors import StoreError
 from scenegen.base.executors import EXECUTORS
 from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
-from tests.command_line import refused
-from tests.scenegen import refuses
+from tests.refusals import refuses, refuses_command
 from tests.scenegen.base import everywhere
 from tests.scenegen.base.backwards import Bare
 
 NAME = "s3://lab/d"
-BARE = ("--on", "bare")
 
 
 @pytest.fixture
@@ -42,32 +40,26 @@ def here(everything, store, tmp_path, monkeypatch):
 )
 def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, words):
     local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
-    there = tuple(NAME if word == "d" else word for word in words)
-    assert everywhere.outcome(capsys, here, there, "out", *BARE) == local
+    remote = [NAME if word == "d" else word for word in words]
+    assert everywhere.outcome(capsys, here, remote, "out", "--on", "bare") == local
 
 
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     here, capsys, monkeypatch
 ):
-    fetch, asked = Store.fetch, []
+    fetch = Store.fetch
 
     def fail(self, name, path):
-        asked.append(name)
         if name == "val-00000.h5":
             raise StoreError(f"{self}/{name}: the store does not answer")
         fetch(self, name, path)
 
     monkeypatch.setattr(Store, "fetch", fail)
-    assert "val-00000.h5: the store does not answer (on " in refused(
-        capsys, "verify", NAME, "--quick", "--json", *BARE
-    )
+    refuses_command(capsys, f"verify {NAME} --quick --json --on bare")
 
 
 def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(here, store):
     folder = locate(NAME)
     manifest = store / "lab" / "d" / "dataset.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise
-    refuses(
-        rf"{NAME}: has changed since the command was given.* \(on ",
-        lambda: list(Bare("", 1)(str, [folder], lambda: None)),
-    )
+    refuses("changed", lambda: list(Bare("", 1)(str, [folder], lambda: None)))

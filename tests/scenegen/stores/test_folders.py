@@ -69,5 +69,5 @@ def test_a_shards_name_follows_from_its_number(monkeypatch, index, stem):
     monkeypatch.undo()
     assert schema.stem_of("val", index) == stem
     assert schema.SHARD_FILE.fullmatch(f"{stem}.worlds.zip")
-    for wrong in (f"../{stem}.h5", f"train-99xxx/{stem}.h5", f"val-01xxx/../{stem}.h5"):
-        assert not schema.SHARD_FILE.fullmatch(wrong)
+    for folder in ("..", "train-99xxx", "val-01xxx/.."):
+        assert not schema.SHARD_FILE.fullmatch(f"{folder}/{stem}.h5")

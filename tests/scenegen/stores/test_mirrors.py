@@ -5,6 +5,7 @@ import hashlib
 import multiprocessing
 import os
 import pickle
+import re
 import shutil
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from scenegen.base.stores import Store
 from scenegen.dataset.locate import locate
 from scenegen.verification import verify
 from tests.conftest import contents
-from tests.scenegen import refuses
+from tests.refusals import refuses
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -49,23 +50,25 @@ def gets(server):
 
 
 def test_a_shard_is_fetched_when_it_is_first_opened(server, there, made):
-    split, here = load(NAME, split="train"), load(made, split="train")
+    split, local = load(NAME, split="train"), load(made, split="train")
     folder = split.dataset.folder
     assert names(folder) == {"dataset.json"}
-    assert split[4].sha256() == here[4].sha256()
+    assert split[4].sha256() == local[4].sha256()
     assert names(folder) == {"dataset.json", "train-00001.h5"}
-    assert split.dataset.world("train", 1) == here.dataset.world("train", 1)
+    assert split.dataset.world("train", 1) == local.dataset.world("train", 1)
     assert locate(NAME) == folder
     assert gets(server).count("GET train-00001.h5") == 1
     shutil.rmtree(there)
     again = load(str(folder), split="train")[3]
-    assert again.sha256() == here[3].sha256()  # nothing is asked for twice
-    refuses(r"train-00000.h5: is missing", lambda: split[0])
+    assert again.sha256() == local[3].sha256()  # nothing is asked for twice
+    refuses("gone", split.__getitem__, 0)
 
 
 def test_everything_is_fetched_at_once_where_all_is_needed(there, made):
     assert contents(locate(NAME, whole=True)) == contents(made)
     assert verify(NAME, quick=True).ok
+    split = pickle.loads(pickle.dumps(load(NAME, split="val")))
+    assert split[0].sha256() == load(made, split="val")[0].sha256()
 
 
 def read_all(path):
@@ -86,13 +89,6 @@ def test_processes_at_once_fetch_a_file_once_though_the_server_fails(server, mir
     assert names(folder) == {"dataset.json", "a.h5"}
 
 
-def test_another_process_finds_a_mirror_by_its_folder(mirrored):
-    folder, content = mirrored
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(read_all, [folder / "b.h5"]) == read_all(folder / "b.h5")
-    assert (folder / "b.h5").read_bytes() == content["b.h5"]
-
-
 def test_what_was_used_longest_ago_makes_room(mirrored, monkeypatch):
     folder, content = mirrored
     monkeypatch.setenv(ROOM, str(2.5 * SIZE / 1e9))
@@ -101,26 +97,25 @@ def test_what_was_used_longest_ago_makes_room(mirrored, monkeypatch):
         assert (folder / name).read_bytes() == content[name]
         os.utime(folder / name, ns=(turn, turn))
     assert names(folder) == {"dataset.json", "d.h5", "a.h5"}
-    refuses(f"made room for others.*{ROOM}", fetch_all, folder, content)
+    refuses("all", fetch_all, folder, content)
     monkeypatch.setenv(ROOM, "much")
     (folder / "b.h5").unlink(missing_ok=True)
-    refuses(f"{ROOM}=much: expected gigabytes, such as 50", fetch, folder / "b.h5")
+    refuses("much", fetch, folder / "b.h5")
 
 
 def test_other_bytes_than_the_manifests_are_refused_and_not_kept(there):
     path = there / "test-00000.h5"
     path.write_bytes(path.read_bytes()[:-1] + b"?")
     split = load(NAME, split="test")
-    told = f"{NAME}/test-00000.h5: is not the file that the manifest lists"
-    refuses(told, lambda: split[0])
+    refuses("a sample", split.__getitem__, 0)
     assert names(split.dataset.folder) == {"dataset.json"}
-    refuses(told, locate, NAME, whole=True)
+    refuses("all", locate, NAME, whole=True)
 
 
 def test_a_file_that_is_missing_at_the_store_is_named(mirrored):
     folder, _ = mirrored
     Store(NAME).remove("a.h5")
-    refuses(f"{NAME}/a.h5: is missing at the store", fetch, folder / "a.h5")
+    refuses("a.h5", fetch, folder / "a.h5")
     assert names(folder) == {"dataset.json"}
 
 
@@ -129,7 +124,7 @@ def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_store(server, there
     shutil.copytree(folder, tmp_path / "theirs")
     shutil.copy(f"{folder}.place", tmp_path / "theirs.place")
     count = len(server.log)
-    refuses(r"theirs/train-00000.h5: is missing", lambda: load(tmp_path / "theirs")[0])
+    refuses("theirs", load(tmp_path / "theirs").__getitem__, 0)
     fetch(folder / "not-listed.h5")
     assert mirror_of(tmp_path / "theirs") is None
     assert len(server.log) == count
@@ -157,12 +152,6 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     forget()
     # by the store's name, and in another process
     for ask in (lambda: locate(NAME), lambda: load(folder)[0]):
-        with pytest.raises(StoreError, match=r"others may write to|another user") as refused:
+        with pytest.raises(StoreError, match=re.escape(str(wrong))):
             ask()
-        assert str(wrong) in str(refused.value)
     assert names(folder) == {"dataset.json"}
-
-
-def test_a_split_is_handed_to_other_processes(there, made):
-    split = pickle.loads(pickle.dumps(load(NAME, split="val")))
-    assert split[0].sha256() == load(made, split="val")[0].sha256()

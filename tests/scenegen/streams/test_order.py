@@ -13,7 +13,8 @@ from scenegen.draw.source import DrawnWorlds
 from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
-from tests.scenegen import cases, refuses
+from tests.refusals import refuses
+from tests.scenegen import cases
 from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
@@ -59,9 +60,9 @@ def test_parts_come_in_order_whole_and_in_proportion(seed):
 
 
 def test_decimal_weights_are_meant_as_they_are_written():
-    one, other = mixed({1: 0.7, 2: 0.3}), mixed({1: 7, 2: 3})
-    assert one.digest == other.digest
-    assert [one.part(n) for n in range(99)] == [other.part(n) for n in range(99)]
+    decimal, whole = mixed({1: 0.7, 2: 0.3}), mixed({1: 7, 2: 3})
+    assert decimal.digest == whole.digest
+    assert [decimal.part(n) for n in range(99)] == [whole.part(n) for n in range(99)]
 
 
 def test_a_mixtures_part_is_that_parts_own_stream():
@@ -109,15 +110,16 @@ def test_batches_go_on_where_a_state_says_with_any_ranks():
     state = json.dumps(begun.state_dict())
     assert len(state) < 120
     resumed, half = batches(), batches(rank=1, ranks=2)
-    for one in (resumed, half):
-        one.load_state_dict(json.loads(state))
+    for batches_after in (resumed, half):
+        batches_after.load_state_dict(json.loads(state))
     assert first + list(resumed) == everything
     assert list(resumed) == everything  # a pass that ended begins anew
     assert next(half) == everything[7][1::2]
-    for other in (batches(8), batches(loaders=1), batches(of=mixed({3: 1, 6: 1}))):
-        refuses("it is of another one", other.load_state_dict, json.loads(state))
+    others = {"size": {"size": 8}, "loaders": {"loaders": 1}, "stream": {"of": mixed({3: 1, 6: 1})}}
+    for case, options in others.items():
+        refuses(case, batches(**options).load_state_dict, json.loads(state))
 
 
-@pytest.mark.parametrize(("options", "said"), cases("streams/order"))
-def test_batches_that_cannot_be_end_in_a_line(options, said):
-    refuses(said, lambda: mixed({3: 1}, samples=50).batches(**json.loads(options)))
+@pytest.mark.parametrize("options", [options for (options,) in cases("streams/order")])
+def test_batches_that_cannot_be_end_in_a_line(options):
+    refuses(options, mixed({3: 1}, samples=50).batches, **json.loads(options))

@@ -26,7 +26,6 @@ import mujoco
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 NEAR = 0.5e-6
@@ -40,6 +39,12 @@ KINDS = "sphere", "capsule", "ellipsoid", "cylinder", "box", "plane"
 
 Floats = NDArray[np.float64]
 jit = numba.njit(cache=True)
+
+
+def unit(rng):
+    """A random direction."""
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
 
 
 def rotation(quat):
@@ -311,14 +316,6 @@ def _verdicts(kind, given, margin, axes, centres, half):
     return found
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A verdict for every voxel of a map, and which voxels lie near the surface."""
-
-    verdict: NDArray[np.uint8]
-    boundary: NDArray[np.bool_]
-
-
 def _core(shape):
     """What the search takes of a primitive."""
     kind = KINDS.index(shape.kind)
@@ -327,7 +324,8 @@ def _core(shape):
 
 
 def judge(shape, grid_shape, voxel, origin):
-    """The truth about one primitive, for every voxel of a map.
+    """The verdict on one primitive, for every voxel of a map, and which voxels lie near its
+    surface.
 
     A voxel is off the boundary when all its corners are inside (the solid is convex), or its centre
     is farther away than a corner of it is; only boundary voxels need the search.
@@ -346,7 +344,7 @@ def judge(shape, grid_shape, voxel, origin):
     else:
         local = (centres[boundary] - shape.pos) @ shape.rot
         verdict[boundary] = _verdicts(*_core(shape), shape.rot, local, half)
-    return Judged(verdict, boundary)
+    return verdict, boundary
 
 
 def support_point(shape, direction):
@@ -367,10 +365,8 @@ def voxel_centres(grid_shape, voxel, origin):
 
 
 def judge_hulls(hulls, grid_shape, voxel, origin):
-    """The truth about a union of convex hulls of equally many points, (n, points, 3) in the world.
-
-    Every occupied voxel counts as boundary, and so do its neighbours.
-    """
+    """The verdict on a union of convex hulls of equally many points, (n, points, 3) in the
+    world."""
     verdict, hulls = np.full(grid_shape, FREE, np.uint8), np.ascontiguousarray(hulls)
     centres = voxel_centres(grid_shape, voxel, origin)
     # the voxels that its bounding box meets, and one more all around
@@ -380,9 +376,9 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
         part = tuple(map(slice, low, high))
         # in one order, or it is compiled thrice
         inner = np.ascontiguousarray(centres[part]).reshape(-1, 3)
-        found = _verdicts(HULL, hull, 0.0, np.eye(3), inner, voxel / 2)
-        verdict[part] = np.maximum(verdict[part], found.reshape(verdict[part].shape))
-    return Judged(verdict, ndimage.binary_dilation(verdict != FREE, np.ones((3, 3, 3))))
+        verdicts = _verdicts(HULL, hull, 0.0, np.eye(3), inner, voxel / 2)
+        verdict[part] = np.maximum(verdict[part], verdicts.reshape(verdict[part].shape))
+    return verdict
 
 
 def winding_number(triangles, points):
@@ -401,18 +397,18 @@ def winding_number(triangles, points):
 
 
 def filled(surface, triangles, voxel, origin):
-    """The truth about a watertight mesh, whose `surface` is judged already.
+    """The verdict on a watertight mesh, given that on its `surface`.
 
     A voxel that no triangle touches is inside or outside as a whole: the winding number at its
     centre tells.
     """
-    centres = voxel_centres(surface.verdict.shape, voxel, origin)
+    centres = voxel_centres(surface.shape, voxel, origin)
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    clear = ((centres >= low) & (centres <= high)).all(axis=-1) & (surface.verdict != OCCUPIED)
+    clear = ((centres >= low) & (centres <= high)).all(axis=-1) & (surface != OCCUPIED)
     inside = np.abs(winding_number(triangles, centres[clear])) > 0.5
-    verdict = surface.verdict.copy()
+    verdict = surface.copy()
     verdict[clear] = np.where(inside, OCCUPIED, verdict[clear])
-    return Judged(verdict, surface.boundary)
+    return verdict
 
 
 def hfield_prisms(heights, size, pos, quat):

@@ -18,17 +18,14 @@ from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 6, "val": 3, "test": 3}
 DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
-Arrays = dict[str, np.ndarray]
 
 
-def make(folder, kind="pillar", *, counts=COUNTS, compact=False):
-    recipe = small_recipe(kind)
-    return dataset_in(folder, recipe, counts=counts, compact=compact, shard_samples=6).folder
+def make(folder, kind):
+    return dataset_in(folder, small_recipe(kind), counts=COUNTS, shard_samples=6).folder
 
 
 def copy(folder, to):
-    shutil.copytree(folder, to)
-    return to
+    return shutil.copytree(folder, to)
 
 
 def load(folder, file):
@@ -45,11 +42,8 @@ def sample_digest(arrays, row):
 def store(folder, file, arrays, attributes, *, digests=True):
     """Write a shard, its samples' digests made to match, and sign the manifest again."""
     if digests:
-        rows = [
-            np.frombuffer(sample_digest(arrays, row), np.uint8)
-            for row in range(len(arrays["world"]))
-        ]
-        arrays["sha256"] = np.array(rows)
+        raw = b"".join(sample_digest(arrays, row) for row in range(len(arrays["world"])))
+        arrays["sha256"] = np.frombuffer(raw, np.uint8).reshape(-1, 32)
     with h5py.File(folder / file, "w") as shard:
         for name, values in arrays.items():
             packed = {"compression": "gzip"} if values.ndim > 2 else {}
@@ -96,20 +90,25 @@ def edit_manifest(folder, **changes):
 def edit_at(folder, path, value):
     """Put what the JSON `value` says at a dotted path of the manifest, or, if it says nothing,
     delete what is there; the folder."""
-    found = read(folder)
+    document = read(folder)
     *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
-    place = functools.reduce(operator.getitem, above, found)
+    place = functools.reduce(operator.getitem, above, document)
     if value:
         place[last] = json.loads(value)
     else:
         del place[last]
-    (folder / NAME).write_text(json.dumps(found))
+    (folder / NAME).write_text(json.dumps(document))
     return folder
+
+
+def documents(folder, file):
+    """Members of an archive by name."""
+    with zipfile.ZipFile(folder / file) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 def rezip(path, change):
     """Change an archive's members."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
+    members = documents(path.parent, path.name)
     change(members)
     path.write_bytes(zip_reproducibly(tuple(members.items())))

@@ -2,10 +2,11 @@
 
 import re
 
+from scenegen.base.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import example, page, run
-from tests.scenegen import refuses
+from tests.command_line import done, example, page
+from tests.refusals import refuses
 
 
 def test_the_table_has_the_checks_in_order():
@@ -19,14 +20,12 @@ bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
 """
 
 
-def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
-    code = example("verify.md", "high = Check")
-    (tmp_path / "my_checks.py").write_text(code + OWN)
-    monkeypatch.chdir(tmp_path)
+def test_a_check_of_ones_own(folder, standing, capsys):
+    (standing / "my_checks.py").write_text(example("verify.md", "high = Check") + OWN)
     own = [f"my_checks:{name}" for name in ("high", "low", "bad")]
     high, low, bad = verify(folder, quick=True, own=own).checks[-3:]
     assert (high.name, high.ok, high.counts) == ("high", True, {"samples": 12})
     assert (low.ok, low.faults, bad.ok, bad.faults) == (False, 12, False, 12)
     assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail
-    assert run(capsys, f"verify {folder} --quick --check my_checks:high")[0] == 0
-    refuses(r"--check: .*none", verify, folder, own=["my_checks:none"])
+    done(capsys, f"verify {folder} --quick --check my_checks:high")
+    refuses("none", verify, folder, own=["my_checks:none"], error=DatasetError)

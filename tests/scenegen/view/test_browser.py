@@ -5,7 +5,9 @@ import shutil
 import numpy as np
 import pytest
 
-from scenegen.view.look import Guess, Route
+from lidarsim import GridSpec
+from scenegen.view.look import Guess, Look, Route
+from scenegen.view.page import page
 from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
 
@@ -32,12 +34,12 @@ def browser():
         opened.close()
 
 
-def reached(browser, address, first=0):
+def reached(browser, address, first=0, **how):
     """The page at an address once its first sample shows, and the list of what its console says
     against it, and of requests to other places."""
     told = []
     allowed = address.partition("#")[0], "blob:"
-    tab = browser.new_page(viewport={"width": 900, "height": 700})
+    tab = browser.new_page(**{"viewport": {"width": 900, "height": 700}} | how)
     tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
     tab.on("pageerror", lambda error: told.append(str(error)))
     tab.on("dialog", lambda dialog: told.append(f"dialog {dialog.message}") or dialog.dismiss())
@@ -86,10 +88,10 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
-    with served([dataset, made], index=2, guesses=guesses, methods=(HOSTILE,)) as server:
+    with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
         tab, told = reached(browser, server.address, first=2)
         assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
-        tab.get_by_role("button", name="errors").click()
+        tab.get_by_role("button", name="wrong").click()
         assert "invented" in state(tab, "layers")
         assert "2.9 m" in tab.locator("#figures").inner_text()
         tab.get_by_label("world").check()
@@ -149,3 +151,70 @@ def test_views_side_by_side_have_one_camera(browser, made):
         assert "free" in state(tab, "layers")
         tab.get_by_role("button", name="truth").click()
         assert (state(tab, "views"), told) == ("1", [])
+
+
+def drawn(tab):
+    """The layers that a page draws, without its frame."""
+    return [name for name in state(tab, "layers").split() if not name.startswith("#")]
+
+
+@pytest.fixture
+def film(tmp_path):
+    """The file of a page: three moments in a room of 4 m with floor and ceiling, and a plan."""
+    grid = GridSpec(shape=(20, 20, 10), voxel_m=0.2)
+    room = np.zeros(grid.shape, bool)
+    room[:, :, [0, -1]] = room[0] = room[5, 5] = True
+    moments = []
+    for n in range(3):
+        seen = np.zeros(grid.shape, bool)
+        seen[: n + 1, :, 0] = True
+        way = np.array([[1.0, 1.0, 1.0], [1.0 + n, 1.5, 1.0]])
+        route = Route(start=way[0], goal=way[-1], points=way, told="under way")
+        moments.append(
+            Look(
+                name=f"{n}.0 s",
+                grid=grid,
+                origin=np.zeros(3),
+                position=way[-1],
+                quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+                masks={"occupancy": room, "observed": seen},
+                guesses=(Guess(name="robot", occupied=seen, tudf=None, route=route),),
+            )
+        )
+    file = tmp_path / "film.html"
+    file.write_text(page(moments, title="a flight", film=True))
+    return file.as_uri()
+
+
+def test_a_flight_opens_on_belief_and_has_a_timeline(browser, film):
+    tab, complaints = reached(browser, film)
+    assert drawn(tab) == ["observed", "paths", "robot"]
+    tab.locator("#time").fill("2")
+    tab.wait_for_selector("body[data-sample='2']", state="attached")
+    assert "2.0 s" in tab.locator("#figures").inner_text()
+    tab.get_by_role("button", name="truth").click()
+    assert drawn(tab) == ["occupancy"]
+    assert complaints == []
+
+
+def test_a_ceiling_is_cut_above_the_sensor_until_it_is_wanted(browser, film):
+    tab, complaints = reached(browser, film)
+    tab.get_by_role("button", name="truth").click()
+    assert state(tab, "cut") == "6"  # the sensor is in the sixth layer of voxels
+    inside = tab.evaluate(PIXELS)
+    tab.locator("#cut").fill("10")
+    assert state(tab, "cut") == "10"
+    tab.wait_for_timeout(300)
+    assert tab.evaluate(PIXELS) != inside
+    assert complaints == []
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_a_phone_shows_the_picture_below_the_panel(browser, film, scheme):
+    phone = {"viewport": {"width": 390, "height": 800}, "color_scheme": scheme}
+    tab, complaints = reached(browser, film, **phone)
+    panel, picture = (tab.locator(name).bounding_box() for name in ("#panel", "#scene"))
+    assert panel["y"] + panel["height"] <= picture["y"] + 1
+    assert picture["width"] == 390
+    assert tab.evaluate("document.body.scrollWidth") <= 390
+    assert complaints == []

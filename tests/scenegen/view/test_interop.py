@@ -1,11 +1,9 @@
 """The recipes of docs/convert.md do what they say."""
 
-import io
 import re
 import sys
-from dataclasses import make_dataclass
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -13,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.dataset.read import Dataset
-from tests.command_line import ROOT
+from tests.command_line import page
 
-PAGE = (ROOT / "docs" / "convert.md").read_text(encoding="utf-8")
-BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+(BATCHES,) = re.findall(r"^```python\n(.*?)^```\n", page("convert.md"), re.M | re.S)
+NODE = page("ros_scanner.py")
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
@@ -40,36 +38,27 @@ def test_sparse_batches_hold_every_observed_voxel(made):
 
 
 def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
-    pytest.importorskip("mcap_ros2")
-    from mcap_ros2.writer import Writer
-
     from scenegen.logs.bags import CLOUD, DEFINITIONS
 
-    sent = []
-    kinds = {}
-    for text in f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]:
-        name, *fields = re.findall(r"^\S+[/ ](\w+)$", text, re.M)
-        kinds[name] = make_dataclass(name, [(field, Any, None) for field in fields])
-    now = SimpleNamespace(to_msg=lambda: kinds["Time"](sec=7, nanosec=5))
-    node = SimpleNamespace(
-        get_clock=lambda: SimpleNamespace(now=lambda: now),
-        create_publisher=lambda *about: SimpleNamespace(publish=sent.append),
-        create_timer=lambda period, call: call(),
-    )
-    rclpy = {"init": lambda: None, "create_node": lambda name: node, "spin": lambda node: None}
-    messages = {f"{name}.msg": kinds for name in ("sensor_msgs", "std_msgs")}
-    for name, held in {"rclpy": rclpy, "sensor_msgs": {}, "std_msgs": {}, **messages}.items():
-        module = ModuleType(name)
-        module.__dict__.update(held)
-        monkeypatch.setitem(sys.modules, name, module)
+    for name in ("rclpy", "sensor_msgs", "sensor_msgs.msg", "std_msgs", "std_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    for kind in ("PointCloud2", "PointField"):
+        setattr(sys.modules["sensor_msgs.msg"], kind, SimpleNamespace)
+    sys.modules["std_msgs.msg"].Header = SimpleNamespace
+    node = sys.modules["rclpy"].create_node.return_value
+    node.create_timer = lambda period, call: call()
     (tmp_path / "scene.xml").write_text(SCENE)
     monkeypatch.setattr(sys, "argv", ["node.py", str(tmp_path / "scene.xml"), "robot"])
     names = {}
     exec(NODE, names)
-    writer = Writer(io.BytesIO())  # which takes what has all the fields of the definitions
-    writer.write_message("/points", writer.register_msgdef(CLOUD, DEFINITIONS[CLOUD]), sent[0])
-    points = np.frombuffer(sent[0].data, "<f4").reshape(-1, 3)
-    assert (sent[0].header.stamp.sec, sent[0].header.frame_id) == (7, "lidar")
+    ((cloud,), _) = node.create_publisher.return_value.publish.call_args
+    texts = f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]
+    messages = {"PointCloud2": cloud, "Header": cloud.header, "PointField": cloud.fields[0]}
+    for kind, *fields in (re.findall(r"^\S+[/ ](\w+)$", text, re.M) for text in texts):
+        if kind in messages:
+            assert vars(messages[kind]).keys() <= set(fields), kind
+    points = np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
+    assert cloud.header.frame_id == "lidar"
+    assert cloud.header.stamp is node.get_clock.return_value.now.return_value.to_msg.return_value
     ranges = names["lidar"].scan(names["data"]).ranges
-    ranges = ranges[np.isfinite(ranges)]
-    assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)
+    assert_allclose(np.linalg.norm(points, axis=1), ranges[np.isfinite(ranges)], rtol=1e-6)

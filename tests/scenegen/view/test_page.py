@@ -13,11 +13,11 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
+from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.view.look import look_at, looks
-from scenegen.view.page import HERE, MAX_VOXELS, page
-from tests.command_line import refused
-from tests.scenegen import refuses
+from scenegen.view.page import HERE, page
+from tests.refusals import refuses, refuses_command
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%%DATA%%&amp;\u2028"
 
@@ -62,8 +62,7 @@ def test_a_page_holds_what_its_samples_hold(made):
         shape, far, reach = sample.observed.shape, packed["truncation"], packed["reach"]
         for name in ("observed", "free", "occupancy"):
             bits = np.unpackbits(np.frombuffer(unpacked(packed["masks"][name]), np.uint8))
-            mask = bits[: sample.observed.size].reshape(shape)
-            assert_array_equal(mask, getattr(sample, name))
+            assert_array_equal(bits[: sample.observed.size].reshape(shape), getattr(sample, name))
         shares = np.frombuffer(unpacked(packed["tudf"]), np.uint8).reshape(shape) / 255
         assert_allclose(shares * far, sample.tudf, atol=far / 510 + 1e-6)
         points = np.frombuffer(unpacked(packed["points"]), "<i2").reshape(-1, 3) / 32767 * reach
@@ -75,19 +74,23 @@ def test_a_hostile_dataset_runs_no_script(look):
     hostile = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["free"]})
     good = Seen(page([look], title="good"))
     bad = Seen(page([hostile], title=HOSTILE, notes=[HOSTILE]))
-    tags = [[(tag, sorted(names)) for tag, names, _ in one.found] for one in (good, bad)]
-    assert tags[0] == tags[1]
+    tags, expected = (
+        [(tag, sorted(names)) for tag, names, _ in seen.found] for seen in (bad, good)
+    )
+    assert tags == expected
     data = bad.data()
     assert data["title"] == data["notes"][0] == data["samples"][0]["name"] == HOSTILE
     scripts = [names for tag, names, _ in bad.found if tag == "script"]
-    (running,) = [one for one in scripts if not one.get("type", "").startswith("application/")]
-    assert f"script-src 'nonce-{running['nonce']}';" in bad.policy()
+    (nonce,) = [
+        names["nonce"] for names in scripts if not names.get("type", "").startswith("application/")
+    ]
+    assert f"script-src 'nonce-{nonce}';" in bad.policy()
     assert "default-src 'none'" in bad.policy()  # so nothing is loaded, whatever else stands there
-    given = {name for _, names, _ in bad.found for name in names}
-    assert not [name for name in given if name.startswith("on") or name in ("src", "href")]
+    attributes = {name for _, names, _ in bad.found for name in names}
+    assert not [name for name in attributes if name.startswith("on") or name in ("src", "href")]
     script = HERE.joinpath("page.js").read_text(encoding="utf-8")
-    for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("):
-        assert word not in script
+    words = "innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("
+    assert [word for word in words if word in script] == []
 
 
 def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(look):
@@ -102,7 +105,7 @@ def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(look):
     assert "three.js authors" in text
 
 
-def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, tmp_path, capsys):
+def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, standing, capsys):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     with h5py.File(dataset / "train-00000.h5", "r") as file:
         place = file["tudf"].id.get_chunk_info(1)
@@ -110,36 +113,34 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, tmp_path, cap
         raw.seek(place.byte_offset)
         raw.write(bytes(place.size))
     shown, notes = looks(Dataset(dataset), "train", [0, 1, 4, 6])
-    assert [look.name for look in shown] == ["train 0", "train 1", "train 6"]
-    assert [look.tudf is None for look in shown] == [False, True, False]
+    distances = {look.name: look.tudf is not None for look in shown}
+    assert distances == {"train 0": True, "train 1": False, "train 6": True}
     assert "occupancy" in shown[1].masks
-    gone, unread = sorted(notes, reverse=True)
-    assert "train 4 is not shown" in gone
-    assert "train-00001.h5" in gone
-    assert "train 1: tudf is not shown" in unread
+    unread, gone = sorted(notes)
+    assert unread.startswith("train 1: tudf is not shown")
+    assert "train-00001.h5" in gone.partition("train 4 is not shown")[2]
     assert Seen(page(shown, title="", notes=notes)).data()["notes"] == notes
-    for index, part in ((4, "train-00001.h5"), (11, "--index below 11")):
-        assert part in refused(capsys, f"view {dataset} --index {index} -o {tmp_path}/no.html")
-    assert not (tmp_path / "no.html").exists()
+    for index in (4, 11):
+        refuses_command(capsys, f"view data/pillar --index {index} -o no.html")
+    assert not (standing / "no.html").exists()
 
 
 def test_what_cannot_be_shown_is_an_error(made, look):
     """A grid that no browser takes, and a pose that is none."""
+    large = replace(look, grid=GridSpec(shape=(256, 256, 128)))
+    refuses("grid", page, [large], title="", error=ScenegenError)
     dataset = Dataset(made)
-    refuses(
-        f"{MAX_VOXELS} at most",
-        lambda: page([replace(look, grid=GridSpec(shape=(256, 256, 128)))], title=""),
-    )
     sample = dataset.split("train")[0]
     sample.__dict__["position"] = np.array([np.nan, 0, 0])
-    refuses("pose", look_at, sample, dataset.grid, dataset.lidar, "train 0")
+    sensor = dataset.grid, dataset.lidar
+    refuses("pose", look_at, sample, *sensor, "train 0", error=ScenegenError)
 
 
 def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made, monkeypatch):
     shown, _ = looks(Dataset(made), "train", [0, 1, 2])
     whole = Seen(page(shown, title="")).data()["samples"]
-    most = sum(len(json.dumps(one)) for one in whole[:2]) + 10
-    monkeypatch.setattr("scenegen.view.page.MAX_BYTES", most)
+    size = sum(len(json.dumps(sample)) for sample in whole[:2])
+    monkeypatch.setattr("scenegen.view.page.MAX_BYTES", size + 10)
     data = Seen(page(shown, title="")).data()
     assert data["samples"] == whole[:2]
     assert "1 samples are left out" in data["notes"][0]

@@ -6,6 +6,7 @@ import pytest
 from lidarsim.solids import solids_of
 from scenegen.worlds.world import geometry_digest
 from tests.lidarsim.engines.test_laws import SIZES
+from tests.scenegen import cases
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
@@ -17,49 +18,32 @@ def digest(body, *, vertices="0 0 0 1 0 0 0 1 0 0 0 1", height=0.5):
     return geometry_digest(solids_of(mujoco.MjModel.from_xml_string(world)))
 
 
-PLACE = 'pos="1 2 3"'
-A = f'type="box" size="1 2 3" quat="0.8 0.6 0 0" {PLACE}'
+A = 'type="box" size="1 2 3" quat="0.8 0.6 0 0" pos="1 2 3"'
 B = 'type="cylinder" size="1 2" pos="4 0 0"'
-HINGE = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint axis="0 0 1" ref="40"/>'
-"""A geom stands where its body does in the reference configuration."""
-SAME = f"""
-<geom {B}/> <geom {A}/>
-<geom name="x" rgba="1 0 0 1" {A}/> <geom {B}/>
-<geom {A.replace("0.8 0.6", "-0.8 -0.6")}/> <geom {B}/>
-<body pos="1 0 0">{HINGE}<body pos="0 2 3"><geom {A.replace(PLACE, "")}/></body></body><geom {B}/>
-<geom {A}/> <body pos="4 0 0"><freejoint/><geom {B.replace("4 0 0", "0 0 0")}/></body>
-<geom type="box" size="2 1 3" xyaxes="0 0.28 0.96 -1 0 0" {PLACE}/> <geom {B}/>
-<geom {A}/> <geom {B} euler="180 0 77"/>
-<geom {A}/> <geom {B}/> <geom type="sphere" size="9" rgba="1 1 1 0"/>
-"""
-OTHERS = f"""
-<geom {A}/>
-<geom {A}/> <geom {B}/> <geom {B}/>
-<geom {A.replace(PLACE, 'pos="1 2 3.001"')}/> <geom {B}/>
-<geom {A}/> <geom {B.replace("cylinder", "capsule")}/>
-<geom {A.replace("0.8 0.6", "0.6 0.8")}/> <geom {B}/>
-<geom {A.replace("0.8 0.6", "0.8 -0.6")}/> <geom {B}/>
-<geom {A}/> <geom {B.replace("4 0 0", "4 0 0.001")}/>
-"""
+SAME, OTHERS = (
+    [element.format(a=A, b=B) for (element,) in cases(f"worlds/{table}")]
+    for table in ("same", "others")
+)
 
 
-@pytest.mark.parametrize("same", SAME.strip().splitlines())
-def test_names_order_bodies_colours_and_placings_do_not_matter(same):
+@pytest.mark.parametrize("same", SAME)
+def test_only_solids_and_their_places_matter(same):
+    """No names, order, bodies, colours or ways to place; a geom stands where its body does in the
+    reference configuration."""
     assert digest(f"<geom {A}/><geom {B}/>") == digest(same)
 
 
-@pytest.mark.parametrize("other", OTHERS.strip().splitlines())
+@pytest.mark.parametrize("other", OTHERS)
 def test_other_solids_have_another_digest(other):
     assert digest(f"<geom {A}/><geom {B}/>") != digest(other)
 
 
 def test_every_number_of_a_size_counts():
     for shape, size in SIZES.items():
-        for n in range(len(size.split())):
-            other = size.split()
-            other[n] += "001"
-            one, two = (f'<geom type="{shape}" size="{its}"/>' for its in (size, " ".join(other)))
-            assert (digest(one) == digest(two)) == (shape == "plane"), (shape, n)
+        numbers, geom = size.split(), f'<geom type="{shape}" size="{{}}"/>'.format
+        for n in range(len(numbers)):
+            other = " ".join([*numbers[:n], f"{numbers[n]}001", *numbers[n + 1 :]])
+            assert (digest(geom(size)) == digest(geom(other))) == (shape == "plane"), (shape, n)
 
 
 def test_meshes_and_height_fields_count_by_what_they_are():

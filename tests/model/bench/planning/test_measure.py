@@ -1,14 +1,16 @@
-"""Trials are judged in the truth as a slow reference judges them, on random maps."""
+"""Trials are judged in the truth as a slow reference judges them, on random maps; their goals are
+free and reachable; and the careful planner keeps to its map."""
 
 import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
 from scenegen.model.bench.planner import Lattice, Plan, plan_path, refine
-from scenegen.model.bench.trials import draw_trials, judge, run_trial
+from scenegen.model.bench.trials import draw_trials, judge, met, plan_trial, run_trial
 from scenegen.model.config import PlanConfig
 from scenegen.truth import distance_field
 from tests.refusals import refuses
@@ -52,9 +54,19 @@ def is_clear(path, truth):
     return not truth[tuple(voxels.T)].any()
 
 
-def test_measurements_are_those_of_a_slow_reference():
-    """Every leg cut into pieces of at most 0.05 m, read by scipy, averaged along the path."""
+def reference_of(path, tudf):
+    """Length, mean and least clearance: every leg cut into pieces of at most 0.05 m, read by
+    scipy, averaged along the path."""
     axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
+    read = RegularGridInterpolator(axes, tudf.astype(float), bounds_error=False, fill_value=None)
+    legs = [(points, read(points)) for points in points_of(path)]
+    weights = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points, _ in legs]
+    middles = [(values[1:] + values[:-1]) / 2 for _, values in legs]
+    mean = np.average(np.concatenate(middles), weights=np.concatenate(weights))
+    return np.concatenate(weights).sum(), mean, min(values.min() for _, values in legs)
+
+
+def test_measurements_are_those_of_a_reference():
     outcomes = set()
     for seed in range(12):
         truth, pred = scattered(seed), scattered(100 + seed)
@@ -65,9 +77,6 @@ def test_measurements_are_those_of_a_slow_reference():
         if seed == 0:
             pred[29] = True  # a wall of nodes, so that some goals cannot be reached
         tudf, tudf_pred = distance_field(truth, GRID), distance_field(pred, GRID)
-        read = RegularGridInterpolator(
-            axes, tudf.astype(float), bounds_error=False, fill_value=None
-        )
         for goal in trials_in(truth, 5, seed).goals:
             result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, PLAN)
             initial, reason = plan_path(pred, goal, GRID, PLAN)
@@ -77,17 +86,8 @@ def test_measurements_are_those_of_a_slow_reference():
                 outcomes.add(reason)
                 continue
             path = refine(initial, tudf_pred, GRID, PLAN)
-            distances, weights = [], []
-            for points in points_of(path):
-                found = read(points)
-                distances.append((found[1:] + found[:-1]) / 2)
-                weights.append(np.linalg.norm(np.diff(points, axis=0), axis=1))
-            length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-            assert result.length_m == pytest.approx(length)
-            mean = np.average(np.concatenate(distances), weights=np.concatenate(weights))
-            assert result.mean_clearance_m == pytest.approx(mean, abs=1e-9)
-            least = read(np.concatenate([*points_of(path)])).min()
-            assert result.min_clearance_m == pytest.approx(least)
+            actual = result.length_m, result.mean_clearance_m, result.min_clearance_m
+            assert actual == pytest.approx(reference_of(path, tudf))
             before, after = is_clear(initial, truth), is_clear(path, truth)
             cause = "refined_into_obstacle" if before else "initial_collides"
             assert (result.success, result.cause) == (after, None if after else cause)
@@ -95,27 +95,105 @@ def test_measurements_are_those_of_a_slow_reference():
     assert len(outcomes - {"goal_blocked"}) == 5  # refinement saves some paths, and spoils others
 
 
-def test_maps_of_another_shape_are_refused():
+def test_other_shapes_and_places_are_refused():
     maps = {"occupied": FREE, "tudf": FAR, "occupancy_truth": FREE, "tudf_truth": FAR}
-    for name, given in maps.items():
-        wrong = (maps | {name: given[1:]}).values()
+    for name, values in maps.items():
+        wrong = (maps | {name: values[1:]}).values()
         assert name in refuses(name, run_trial, *wrong, EAST, GRID, PLAN)
-
-
-def test_a_path_that_leaves_the_map_is_refused():
-    for end in (4.1, -0.1):
+    for end in (4.1, -0.1):  # beyond the map
         path = np.array([[2.0] * 3, [end] * 3])
         refuses(end, judge, Plan(path, None), path, FREE, FAR, GRID)
+    for offset in ([0, 0, 0.1], [-0.2, 0, 0], [90, 0, 0], [0, 0, np.nan]):  # to no node
+        refuses(offset, plan_path, FREE, EAST + offset, GRID, PLAN)
+    refuses("refine", refine, LATTICE.centres([[6, 6, 3], [9, 6, 3]]), FAR[1:], GRID, PLAN)
 
 
-def test_hits_are_the_occupied_voxels_of_a_path_in_its_order():
+def test_hits_are_the_paths_occupied_voxels():
+    """In its order; the last voxel of the path is number 30."""
     truth = FREE.copy()
-    truth[30, 20, 10] = truth[25:27, 20, 10] = True  # the last voxel of the path is number 30
-    truth[35, 20, 10] = True  # beyond it
+    truth[[25, 26, 30, 35], 20, 10] = True  # of which one is beyond it
     path = LATTICE.centres([[6, 6, 3], [9, 6, 3]])
     path[1, 0] += 0.2
-    judged = judge(Plan(path, None), path, truth, FAR, GRID)
-    numbers = np.arange(truth.size).reshape(GRID.shape)
-    assert judged.hits == tuple(numbers[[25, 26, 30], 20, 10].tolist())
-    assert judged.hit == judged.hits[0]
+    numbers = np.arange(truth.size).reshape(GRID.shape)[[25, 26, 30], 20, 10].tolist()
+    measured = judge(Plan(path, None), path, truth, FAR, GRID)
+    assert (measured.hits, measured.hit) == (tuple(numbers), numbers[0])
     assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None
+
+
+def test_goals_are_reachable_nodes_of_the_faces(rng):
+    """Different ones, which follow from the stream alone; more of them begin alike."""
+    truth = rng.random(GRID.shape) < 0.3
+    truth[20, 20, 10] = False
+    goals = trials_in(truth, 80, 0).goals
+    voxels = np.floor(goals / 0.2).astype(int)
+    lateral = np.isin(voxels[:, :2], (2, 38)).any(axis=1)
+    assert (lateral | np.isin(voxels[:, 2], (1, 19))).all()
+    assert not lateral.all()
+    assert len(np.unique(voxels, axis=0)) == 80
+    assert all(plan_path(truth, goal, GRID, PLAN).reason is None for goal in goals)
+    assert_array_equal(trials_in(truth, 20, 0).goals, goals[:20])
+    assert not np.array_equal(trials_in(truth, 80, 1).goals, goals)
+
+
+def test_all_goals_are_tried_and_excluded_ones_counted():
+    """A wall cuts off the layer x = 38, all of 13 x 7 goals; one of the others lies in an
+    obstacle."""
+    truth = FREE.copy()
+    truth[35] = True
+    truth[2, 2, 1] = True
+    trials = trials_in(truth, 10_000, 0)
+    layer = 13 * 7
+    rim = 13 * 13 * 7 - 11 * 11 * 5  # nodes of the outermost layer
+    blocked = layer - 11 * 5 + 1
+    assert len(trials.goals) == rim - layer - blocked
+    assert trials.excluded == {"no_path": layer, "goal_blocked": blocked}
+    assert (trials.goals[:, 0] < 35 * 0.2).all()
+
+
+def test_goals_keep_within_bounds():
+    """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
+    bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
+    goals, everywhere = (
+        {*map(tuple, trials_in(FREE, 10_000, 0, bounds=box).goals)} for box in (bounds, None)
+    )
+    assert goals == {(x, y, z) for x, y, z in everywhere if x <= 6 and 1 <= z <= 2.5}
+    assert 0 < len(goals) < len(everywhere)
+
+
+CAREFUL = PlanConfig(planner="careful")
+
+
+def planned(blocked, field, goal, risk=None):
+    """What A* finds, the path, and the voxels that it meets, counted in C order."""
+    plan, path = plan_trial(blocked, field, risk, goal, GRID, CAREFUL)
+    return plan, path, np.empty(0, int) if path is None else met(path, GRID)
+
+
+def test_occupied_voxels_are_never_entered():
+    paths = 0
+    for seed in range(20):
+        occupied = scattered(seed)
+        field = distance_field(occupied, GRID)
+        for goal in trials_in(occupied, 4, seed).goals:
+            _, path, voxels = planned(occupied, field, goal)
+            paths += path is not None
+            assert not occupied.reshape(-1)[voxels].any()
+    assert paths > 60
+
+
+def test_starts_may_be_held_occupied():
+    around = np.zeros(GRID.shape, bool)
+    around[tuple(edge // 2 for edge in GRID.shape)] = True
+    assert planned(around, FAR, EAST)[1] is not None
+    assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
+
+
+def test_likely_obstacles_are_gone_round():
+    """A slab of a probability below the threshold, with a gap two metres off the straight line: the
+    shortest path goes through the slab, the careful one through the gap."""
+    risk = np.zeros(GRID.shape, np.float32)
+    risk[28:32, :30] = 0.7
+    shortest = met(plan_path(FREE, EAST, GRID, PLAN).waypoints, GRID)
+    *_, careful = planned(FREE, FAR, EAST, risk)
+    highest = [risk.reshape(-1)[voxels].max() for voxels in (shortest, careful)]
+    assert highest[0] > 0.5 >= highest[1]

@@ -1,0 +1,140 @@
+"""Scans, logs, maps and worlds are shown as samples are: in a box that holds
+them."""
+
+import base64
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lidarsim import Pose
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from scenegen.base.paths import TYPES, what_is
+from scenegen.draw.source import read_world
+from scenegen.logs import LogScan
+from scenegen.logs.record import write_log
+from scenegen.view import opened
+from scenegen.view.notebook import page_of
+from scenegen.worlds.place import encode_map
+from tests.command_line import done, refused
+from tests.scenegen import refuses
+
+ROOT = Path(__file__).parents[3]
+POINTS = np.array([[3.0, 0.0, 0.5], [0.0, -2.0, 1.5], [1.0, 1.0, -1.0]])
+
+
+def samples_of(html):
+    """The samples that a page holds."""
+    text = html.split('id="data">')[1].split("</script>")[0]
+    return json.loads(text)["samples"]
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    path = tmp_path / "cloud.npy"
+    np.save(path, POINTS)
+    return path
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Three scans of a sensor that moves along x and turns left."""
+    poses = [Pose.level((float(n), 0.0, 1.0), n * np.pi / 2) for n in range(3)]
+    scans = [LogScan(time_s=float(n), pose=pose, points=POINTS) for n, pose in enumerate(poses)]
+    write_log(tmp_path / "log", scans)
+    return tmp_path / "log"
+
+
+def test_a_scan_lies_in_its_box(cloud):
+    (look,) = opened.looks_of_scan(cloud)
+    low, high = look.corners
+    assert_allclose(look.points, POINTS)
+    assert (low <= POINTS).all()
+    assert (high >= POINTS).all()
+    cells = look.grid.index(POINTS, look.origin)
+    assert look.masks["observed"].sum() == 3
+    assert look.masks["observed"][tuple(cells.T)].all()
+
+
+def test_a_dense_scan_is_thinned_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(opened, "MAX_POINTS", 10)
+    np.save(tmp_path / "dense.npy", np.random.default_rng(0).uniform(-5, 5, (95, 3)))
+    (look,) = opened.looks_of_scan(tmp_path / "dense.npy")
+    assert len(look.points) == 10
+    assert look.missing == ("dense.npy: one point in 10 is drawn, 10 of 95",)
+
+
+def test_scans_of_a_log_lie_in_the_world(log):
+    first, second, third = opened.looks_of_log(log)
+    assert_allclose(first.points, POINTS + np.array([0, 0, 1]), atol=1e-5)
+    assert_allclose(second.points[0], (1.0, 3.0, 1.5), atol=1e-5)
+    assert_allclose(third.position, (2.0, 0.0, 1.0))
+    assert first.grid == third.grid
+
+
+def test_a_long_log_is_shown_in_part(log, monkeypatch):
+    monkeypatch.setattr(opened, "MAX_FRAMES", 2)
+    first, last = opened.looks_of_log(log)
+    assert [first.position[0], last.position[0]] == [0.0, 2.0]
+    assert first.missing == ("2 of 3 scans are shown, evenly spread",)
+
+
+def test_a_map_shows_what_is_unknown(tmp_path):
+    states = np.zeros((6, 5, 4), np.uint8)
+    states[1:5, 1:4, 1:3] = FREE
+    states[2, 2, 1] = OCCUPIED
+    path = tmp_path / "map.npz"
+    path.write_bytes(encode_map(VoxelMap(states, 0.5, np.array([1.0, 2.0, 3.0])), str(path)))
+    (look,) = opened.looks_of_world(path)
+    centre = look.origin + (np.argwhere(look.masks["occupancy"]) + 0.5) * look.grid.voxel_m
+    assert (centre >= (2.0, 3.0, 3.5)).all()
+    assert (centre <= (2.5, 3.5, 4.0)).all()
+    assert look.masks["unknown"].mean() == pytest.approx((states == 0).mean(), abs=0.1)
+    assert not look.has_sensor
+
+
+def test_a_world_is_shown_with_its_surfaces():
+    path = ROOT / "scenes" / "room_with_gap.xml"
+    (look,) = opened.looks_of_world(path)
+    truth = read_world(path).truth(look.grid, look.origin)["occupancy"]
+    assert_array_equal(look.masks["occupancy"], truth)
+    (sample,) = samples_of(page_of(str(path)).html)
+    corners = np.frombuffer(gzip.decompress(base64.b64decode(sample["triangles"])), "<f4")
+    assert len(corners) == sum(mesh.triangles.size for mesh in look.surfaces)
+    assert sample["sensor"] is False
+
+
+@pytest.mark.parametrize("low", [(0.0, 0.0, 0.0), (-7.3, 1e3, 0.01)])
+@pytest.mark.parametrize("extent", [(1.0, 1.0, 1.0), (1e4, 3.0, 2.0), (900.0, 900.0, 40.0)])
+def test_a_box_is_held_by_few_voxels(low, extent):
+    grid, origin = opened.box_around(np.array(low), np.array(low) + extent)
+    assert_array_equal(origin, low)
+    assert (grid.extent_m >= extent).all()
+    assert np.prod(grid.shape) <= opened.MAX_CELLS
+
+
+def test_a_box_that_no_page_holds_is_refused():
+    refuses("cut it", lambda: opened.box_around(np.zeros(3), np.full(3, 1e6)))
+
+
+def test_a_cloud_without_returns_is_refused(tmp_path):
+    np.save(tmp_path / "empty.npy", np.full((4, 3), np.nan))
+    refuses("none of its points", lambda: opened.looks_of_scan(tmp_path / "empty.npy"))
+
+
+def test_view_writes_a_page_of_a_log(capsys, log, tmp_path):
+    done(capsys, "view", log, "--html", tmp_path / "log.html")
+    page = (tmp_path / "log.html").read_text()
+    assert [sample["name"] for sample in samples_of(page)] == ["0.00 s", "1.00 s", "2.00 s"]
+    assert '"film": true' in page
+    assert TYPES[what_is(log)].film
+
+
+def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, cloud, tmp_path):
+    line = refused(capsys, "view", cloud, "--split", "test")
+    assert "--split: is for datasets" in line
+    (tmp_path / "recipe.toml").write_text("kind = 'pillar'\n")
+    assert "recipe" in refused(capsys, "view", tmp_path / "recipe.toml")
