@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 
 
 class Weights(click.ParamType):
-    """Type of a network's name: a bundled one, a file, a run's folder, or hf://user/name[@revision];
-    a user's own code stands before it, as in module:Class@FILE."""
+    """Type of a network's name: a bundled one, a file, a run's folder, or
+    hf://user/name[@revision]; a user's own code stands before it, as in module:Class@FILE."""
 
     name = "weights"
 
