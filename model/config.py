@@ -91,6 +91,10 @@ TAKEN = {
 }  # fmt: skip
 """Names in batches, files and losses, which no target of a user's own may have."""
 
+OWN_METRICS = Registry("metric", {})
+"""A user's own metrics of the bench; those that come with scenegen are
+`scenegen.model.bench.metrics.METRICS`, and always measured."""
+
 METHODS = Registry(
     "method",
     {
@@ -119,7 +123,15 @@ def target_name(name: str) -> str:
 
 
 def named(registry: Registry, name: str) -> Any:
-    """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
+    """Import an object of a registry.
+
+    Args:
+        registry: The registry.
+        name: Name of the object.
+
+    Raises:
+        ScenegenError: There is none; the message has one line.
+    """
     with reraise_as(ScenegenError):
         return registry.find(name)
 
@@ -189,7 +201,14 @@ class NetworkConfig:
         return dict(zip(map(target_name, self.targets), self.channels, strict=False)).get(target, 1)
 
     def check_map(self, shape: tuple[int, ...]) -> None:
-        """Raise ValueError where a network of this kind cannot complete maps of `shape`."""
+        """Check that a network of this kind can complete maps.
+
+        Args:
+            shape: Shape of the maps.
+
+        Raises:
+            ValueError: It cannot.
+        """
         if (known := VARIANTS.get(self.variant)) and any(edge % STRIDE for edge in shape):
             raise ValueError(
                 f"maps of {shape} voxels; the network halves them three times, so every edge must "
@@ -329,6 +348,7 @@ class Thresholds(Checked):
 
 UNITS = {"probability": "", "distance_m": " m"}
 """Of the fields of `Thresholds`."""
+MAX_DRAWS = 1000
 NEAR_M = 1.0
 """The paper's bound of what is near an obstacle, metres."""
 
@@ -383,6 +403,10 @@ class BenchConfig(Checked):
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, minimum=0)
     """Seed of goals and permutations."""
+    draws: int = number(1, minimum=1, maximum=MAX_DRAWS)
+    """Answers of a method that draws, for each map; other methods give one."""
+    metrics: tuple[str, ...] = ()
+    """A user's own metrics, each as module:Object."""
     reliability: bool = False
     """Whether the report tells how reliable probabilities are, too."""
     thresholds: Thresholds = field(default_factory=Thresholds)

@@ -64,6 +64,31 @@ class PointScan:
         return crossed & ~self.observed
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenMap:
+    """A map without its truth: what the bench and robots show to inputs and methods. Positions are
+    metres in the world."""
+
+    observed: Mask
+    """(*grid.shape): voxels that hold a return."""
+    free: Mask
+    """(*grid.shape): voxels that a ray crossed, without the observed ones."""
+    origin: Floats
+    """(3,): the map's least corner."""
+    position: Floats
+    """(3,): of the sensor."""
+    quaternion: Floats
+    """(4,): w, x, y, z, from the axes of the body to those of the world."""
+    lidar: Any = None
+    """The sensor, as far as it is known."""
+
+    @classmethod
+    def of(cls, sample: Sample) -> "SeenMap":
+        """Copy the seen part of a sample: a method may write to its arguments."""
+        names = ("observed", "free", "origin", "position", "quaternion")
+        return cls(**{name: getattr(sample, name).copy() for name in names}, lidar=sample.lidar)
+
+
 Channel = Callable[[Any, GridSpec, Any], NDArray[Any]]
 """What makes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's
 sample, only the fields that this accesses are read."""
@@ -92,9 +117,13 @@ def distance(seen: Any, grid: GridSpec, sensor: Any) -> Field:
 
 @cache
 def input_called(name: str) -> Channel:
-    """The input called `name`; a user's own function is imported now, and its channels are checked.
+    """Import an input. The channels of a user's own are checked.
 
-    Raises ScenegenError for a name that leads to none.
+    Args:
+        name: Its name.
+
+    Raises:
+        ScenegenError: There is no such input.
     """
     function = named(INPUTS, name)
     if not is_own(name):
@@ -118,23 +147,41 @@ def input_called(name: str) -> Channel:
 def channels(
     names: Sequence[str], seen: Any, grid: GridSpec, sensor: Any = None
 ) -> dict[str, NDArray[Any]]:
-    """The inputs called `names`, (*grid.shape) each, of a sample or a `PointScan`."""
+    """Compute the inputs of a map.
+
+    Args:
+        names: Names of inputs.
+        seen: A sample, `PointScan` or `SeenMap`.
+        grid: Its grid.
+        sensor: The sensor, or None.
+
+    Returns:
+        (*grid.shape) each, by name.
+    """
     return {name: input_called(name)(seen, grid, sensor) for name in names}
 
 
 def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
-    """What the points of a sample tell of its map; None where it is not of one scan in its
-    middle."""
+    """Return the points of a sample as a scan; None unless it is one scan in the map's middle.
+
+    Args:
+        sample: The sample.
+        grid: Its grid.
+        sensor: The sensor.
+    """
     scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
     single = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
     return scan if single else None
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
-    """A map (..., X, Y, Z) turned by symmetry 0 to 7: `symmetry` % 4 quarter turns about z,
-    mirrored in y from 4 on.
+    """Turn a map about z by quarter turns, and mirror it.
 
     The sensor's place, the centre, stays where it is. Odd turns need a map as long in x as in y.
+
+    Args:
+        grid: (..., X, Y, Z).
+        symmetry: 0 to 7: `symmetry` % 4 quarter turns, mirrored in y from 4 on.
     """
     if symmetry >= SYMMETRIES // 2:
         grid = grid[..., ::-1, :]

@@ -324,6 +324,11 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, metadata: Json) -> 
         raise CheckpointError(
             f"{path}: networks are exported as ONNX; give a name that ends in .onnx"
         )
+    if getattr(network, "draws", False):  # a runtime's random numbers have no seed
+        raise CheckpointError(
+            f"variant {network.config.variant}: draws its answers; only networks that do not are "
+            "exported"
+        )
     check_ours(path)  # refused before the export, which takes seconds
     try:
         import onnx

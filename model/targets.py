@@ -10,7 +10,7 @@ predicts it. The batch, the outputs of a network, its loss and its predictions c
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,29 @@ class Target:
     """The least value of a prediction."""
     maximum = np.inf
     """The greatest value of a prediction."""
+    metrics: ClassVar[Mapping[str, Any]] = {}
+    """Metrics of its own by name, each a `scenegen.model.bench.metrics.Metric`, for the bench and
+    validation."""
 
     @abstractmethod
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
-        """The true map, (*grid.shape) or (channels, *grid.shape), of a type that torch has."""
+        """Compute the true map.
+
+        Args:
+            sample: The sample.
+            grid: Its grid.
+
+        Returns:
+            (*grid.shape) or (channels, *grid.shape), of a type that torch has.
+        """
 
     def turned(self, truth: NDArray[Any], symmetry: int) -> NDArray[Any]:
-        """`truth` as it is where the map is turned, see `scenegen.model.inputs.turned`. Vectors
-        have to turn, too."""
+        """Turn the truth with its map. Override it if the values are directions.
+
+        Args:
+            truth: The truth.
+            symmetry: See `scenegen.model.inputs.turned`.
+        """
         return turned(truth, symmetry)
 
     def output(self, values: "Tensor") -> "Tensor":
@@ -74,7 +89,15 @@ class Target:
         """
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
-        """What a prediction keeps of an output, (B, *grid.shape) or (B, channels, *grid.shape)."""
+        """Make an output into the array that a prediction holds.
+
+        Args:
+            output: From the method `output`.
+            grid: The grid.
+
+        Returns:
+            (B, *grid.shape) or (B, channels, *grid.shape).
+        """
         return output
 
 
@@ -90,7 +113,13 @@ class Occupancy(Target):
     def loss(
         self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
-        """Eq. 8 and the Lovász hinge, weighted."""
+        """Eq. 8 and the Lovász hinge, weighted; see `Target.loss`.
+
+        Args:
+            output: Logits.
+            batch: Holds `occupancy`, and maybe `known`.
+            objective: See `Target.loss`.
+        """
         config, truth = objective.config, (batch["occupancy"], batch.get("known"))
         terms = {"occupancy": objective.occupancy_loss(output, *truth)}
         total = terms["occupancy"]
@@ -123,7 +152,13 @@ class Tudf(Target):
     def loss(
         self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "tuple[Tensor, Terms]":
-        """Eq. 9 and 10, weighted."""
+        """Eq. 9 and 10, weighted; see `Target.loss`.
+
+        Args:
+            output: Distances, metres.
+            batch: Holds `tudf`, and maybe `certain`.
+            objective: See `Target.loss`.
+        """
         config, truth = objective.config, (batch["tudf"], batch.get("certain"))
         terms = {"regression": objective.regression_loss(output, *truth)}
         total = terms["regression"]
@@ -139,9 +174,13 @@ class Tudf(Target):
 
 @cache
 def target_called(name: str) -> Target:
-    """The target called `name`; a user's own class is imported now.
+    """Make a target. A user's own class is imported now.
 
-    Raises ScenegenError for a name that leads to none.
+    Args:
+        name: Its name.
+
+    Raises:
+        ScenegenError: There is no such target, or it is something else.
     """
     kind = named(TARGETS, name)
     with reraise_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
@@ -159,13 +198,36 @@ def targets_of(names: Iterable[str]) -> dict[str, Target]:
 
 
 def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
-    """The truth of the target called `name`; what a user's own gives is checked.
+    """Compute the truth of a target. That of a user's own is checked.
 
-    Raises DatasetError where that is no map.
+    Args:
+        name: Name of the target.
+        sample: The sample.
+        grid: Its grid.
+
+    Raises:
+        DatasetError: It is not a map of numbers.
     """
     target = target_called(name)
-    if not is_own(name):
-        return target.truth(sample, grid)
+    return truth_of(target, name, sample, grid) if is_own(name) else target.truth(sample, grid)
+
+
+def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+    """Compute the truth of a user's own target, and check it.
+
+    Args:
+        target: The target.
+        name: What errors call it.
+        sample: The sample.
+        grid: Its grid.
+
+    Returns:
+        The true map, (*grid.shape) or (channels, *grid.shape).
+
+    Raises:
+        DatasetError: It is not a map of numbers.
+        OwnCodeError: The target's code failed.
+    """
     try:
         truth = np.asarray(target.truth(sample, grid))
     except Exception as error:  # a loader process hands over no traceback
@@ -179,8 +241,15 @@ def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
 
 
 def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
-    """How many channels the target called `name` has, of datasets with the settings `parts` of
-    samples' parts. Raises DatasetError where they do not agree, or lack what it needs."""
+    """Determine how many channels a target has.
+
+    Args:
+        name: Name of the target.
+        parts: Settings of the samples' parts of each dataset.
+
+    Raises:
+        DatasetError: The datasets do not agree, or lack what the target needs.
+    """
     channels = target_called(name).channels
     if not callable(channels):
         return channels
@@ -203,4 +272,4 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
 
 
 BUILT_IN: dict[str, Target] = {"occupancy": Occupancy(), "tudf": Tudf()}
-"""Occupancy and distances: those that every batch has the truth of, and every metric is of."""
+"""Occupancy and distances: every batch has their truth, and planning needs nothing else."""

@@ -18,6 +18,7 @@ from scenegen.base.files import Json
 from scenegen.base.workers import ALONE
 from scenegen.dataset.parameters import plain
 from scenegen.dataset.read import AnyDataset
+from scenegen.model.bench.methods import answers
 from scenegen.model.bench.run import check_whole, filled
 from scenegen.model.bench.visibility import UNOBSERVED, Case
 from scenegen.model.calibration import (
@@ -46,16 +47,29 @@ def count_logits(
     unknown: Mask,
     class_weight: float,
 ) -> Ints:
-    """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
-    2), free and occupied ones apart. The arrays have one shape."""
+    """Count the unknown voxels of a map by their logit, with the class weight inverted.
+
+    Args:
+        probability: Predicted probabilities (*shape).
+        occupied: True occupancy (*shape).
+        unknown: Voxels to count (*shape).
+        class_weight: Weight of occupied voxels in the network's loss.
+
+    Returns:
+        (logits, 2): free and occupied voxels.
+    """
     steps = (corrected_logit(probability[unknown], class_weight) + MAX_LOGIT) / LOGIT
     at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
 
 def fit_temperature(counts: Ints, powers: Floats) -> float:
-    """The temperature (Guo et al. 2017) at which the counted logits of maps (maps, logits, 2), each
-    with its power (maps,) of it, have the least negative log-likelihood."""
+    """Fit the temperature (Guo et al. 2017) of least negative log-likelihood.
+
+    Args:
+        counts: Counted logits of each map, (maps, logits, 2), see `count_logits`.
+        powers: Exponent of the temperature on each map, (maps,).
+    """
 
     def loss(log_temperature: float) -> float:
         scaled = LOGITS / np.exp(log_temperature * powers)[:, None]
@@ -198,7 +212,8 @@ def _count_task(split: str, method: Completer, weight: float, task: _Task) -> li
     samples, results = task.source.split(split), []
     for number in task.numbers:
         sample = samples[number]
-        probability = method.completion(sample, samples).occupancy_probability
+        (prediction,) = answers(method, sample, samples, 0, number, draws=1)
+        probability = prediction.occupancy_probability
         unknown = np.isin(Case(sample, number, samples).classes, UNOBSERVED)
         logits = count_logits(probability, sample.occupancy, unknown, weight)
         denied = float(denial(probability, sample.observed, weight))

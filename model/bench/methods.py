@@ -5,7 +5,7 @@ truth best, one rule for the bench and for training."""
 import inspect
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import product
@@ -21,7 +21,7 @@ from scenegen.base.errors import DatasetError, ScenegenError, printable, reraise
 from scenegen.base.files import real_path
 from scenegen.base.limits import GUARD_S
 from scenegen.dataset.read import AnyDataset, Split
-from scenegen.draw.sample import Sample
+from scenegen.draw.sample import Sample, rng_of
 from scenegen.draw.scored import scored_voxels
 from scenegen.model.completion.protocol import (
     PARTS,
@@ -29,10 +29,15 @@ from scenegen.model.completion.protocol import (
     Prediction,
     PredictionError,
     check_prediction,
+    complete_seen,
+    extras_of,
+    forget,
     plain,
 )
 from scenegen.model.completion.stored import check_file, pairs_in, prediction_at, read_guarded
 from scenegen.model.config import METHODS, Thresholds, split_name
+from scenegen.model.inputs import SeenMap
+from scenegen.model.targets import Target
 from scenegen.view.look import evenly
 
 
@@ -45,8 +50,16 @@ class Method(Protocol):
     """Whether the method was trained, or may have been; not one that is only there to be compared
     with."""
 
+    # a method that draws has `draws = True`, and its `completion` takes random numbers, too; one
+    # with targets of its own has `targets`, by name
+
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """What the method says about the map of `sample`, which is one of `split`'s."""
+        """Predict the map of a sample.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+        """
         ...
 
 
@@ -57,23 +70,58 @@ class Completed:
         name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
         lacking = "a `name`, a string" if not isinstance(name, str) else ""
         try:
-            inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
-        except TypeError:
+            extras = extras_of(completer)
+            signature: Any = inspect.signature(complete)  # type: ignore[arg-type]
+            signature.bind(None, None, grid=None, **dict.fromkeys(extras))
+        except (AttributeError, TypeError, ValueError):
             lacking = "a method `complete` that takes (observed, free, *, grid)"
         if lacking:
             raise PredictionError(f"{type(completer).__name__}: lacks {lacking}")
         self._completer, self.name = completer, printable(name)
         self.learned = bool(getattr(completer, "learned", True))
         """Whatever the completer says of itself; one that says nothing may be."""
+        self.targets: Mapping[str, Target] = getattr(completer, "targets", {})
+        """Targets of its own, by name, whose metrics are measured."""
+        self.draws = "rng" in extras
 
-    def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises PredictionError where the completer gives what is no
-        prediction."""
-        # copies: a completer may write to what it is given, which the other rows are shown, too
-        maps = sample.observed.copy(), sample.free.copy()
-        prediction = self._completer.complete(*maps, grid=split.dataset.grid)
-        check_prediction(prediction, split.dataset.grid.shape, self.name)
-        return replace(prediction, **{name: plain(getattr(prediction, name)) for name in PARTS})
+    def completion(
+        self, sample: Sample, split: Split, rng: np.random.Generator | None = None
+    ) -> Prediction:
+        """See `Method.completion`.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+            rng: Random numbers of a method that draws; by default, those of seed 0.
+
+        Raises:
+            PredictionError: The completer gives something else than a prediction.
+        """
+        grid = split.dataset.grid
+        forget(self._completer)  # the maps of the bench are no sequence
+        prediction = complete_seen(self._completer, SeenMap.of(sample), grid=grid, rng=rng)
+        check_prediction(prediction, grid.shape, self.name, self.targets)
+        others = {name: plain(values) for name, values in prediction.others.items()}
+        parts = {name: plain(getattr(prediction, name)) for name in PARTS}
+        return replace(prediction, **parts, others=others)
+
+
+def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) -> list[Prediction]:
+    """Ask a method for its answers on a sample.
+
+    Args:
+        method: A `Method`.
+        sample: The sample, which is one of `split`'s.
+        split: Its split.
+        key: Seed and number of the map, which decide the random numbers of each draw.
+        draws: How many answers a method that draws gives.
+
+    Returns:
+        So many predictions; one of a method that does not draw.
+    """
+    if not getattr(method, "draws", False):
+        return [method.completion(sample, split)]
+    return [method.completion(sample, split, rng_of(*key, draw)) for draw in range(draws)]
 
 
 class Truth:
@@ -102,16 +150,23 @@ class Predicted:
         self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
 
     def check(self, dataset: AnyDataset, split: str) -> None:
-        """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
-        its grid, in numbers that can be, and are as they were written, where they have digests.
+        """Check that the files predict every sample of a split once.
 
-        Another process, with limits, reads all of each first: HDF5 could make a small file large.
-        That costs about as much as reading the file.
+        Another process, with limits, reads all of each file first: HDF5 could make a small file
+        large. That costs about as much as reading it.
+
+        Args:
+            dataset: The dataset.
+            split: Name of the split.
+
+        Raises:
+            DatasetError: They do not, are of another grid, hold impossible numbers, or are not as
+                they were written.
         """
         names = {(world, viewpoint) for _, world, viewpoint in dataset.split(split).names}
         shape = dataset.grid.shape
-        about = {"dataset": str(dataset.digest), "split": split}
-        check = partial(check_file, about=about, most=len(names), shape=shape)
+        facts = {"dataset": str(dataset.digest), "split": split}
+        check = partial(check_file, facts=facts, max_samples=len(names), shape=shape)
         seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
         counts = Counter[tuple[int, int]]()
         for path in self._files:
@@ -134,7 +189,15 @@ class Predicted:
         return rows
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises KeyError for a sample that is not predicted."""
+        """See `Method.completion`.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+
+        Raises:
+            KeyError: The sample is not predicted.
+        """
         path, row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
         with h5py.File(path, "r") as file:
             return prediction_at(file, row)
@@ -161,8 +224,16 @@ def find_method(name: Any) -> Method:
 def rows_of(
     methods: Sequence[Any], weights: Sequence[str] = (), predictions: Path | None = None
 ) -> list[Method]:
-    """Rows of `find_method`, those of networks (`weights`, or NAME=weights), and that of a file of
-    predictions. Raises ScenegenError where two have one name, and where a row cannot be."""
+    """Make the rows of a bench.
+
+    Args:
+        methods: Names or rows, see `find_method`.
+        weights: Networks, or NAME=network.
+        predictions: A file or folder of predictions.
+
+    Raises:
+        ScenegenError: Two rows have one name, or one cannot be made.
+    """
     rows = list(map(find_method, methods))
     if weights:
         from scenegen.model.completion.completer import Completer  # the other rows need no torch
@@ -183,7 +254,16 @@ def rows_of(
 
 
 def check_rows(rows: Sequence[Method], datasets: Sequence[AnyDataset], split: str) -> None:
-    """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
+    """Check that files of predictions are of a split of all datasets.
+
+    Args:
+        rows: The rows.
+        datasets: The datasets.
+        split: Name of the split.
+
+    Raises:
+        DatasetError: One is not.
+    """
     for row, dataset in product(rows, datasets):
         if (check := getattr(row, "check", None)) is not None:
             check(dataset, split)
@@ -245,25 +325,38 @@ def _count(values, truth, scored, edges, ties, counts):
 
 
 def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:
-    """The candidate (the first of equal ones) with the largest of the mean `ious` (candidates,), in
-    the field `name` of `usual`; `usual` itself if all are equal."""
+    """Choose the threshold of the largest mean IoU, the first of equal ones.
+
+    Args:
+        name: Field of `Thresholds`.
+        ious: Mean IoU of each candidate, (candidates,).
+        usual: The other thresholds; returned if all candidates are equal.
+    """
     if np.ptp(ious) < 1e-12:
         return usual
     return replace(usual, **{name: float(CANDIDATES[name][int(ious.argmax())])})
 
 
 def tune(method: Method, dataset: AnyDataset, thresholds: Thresholds) -> Thresholds:
-    """The thresholds at which `method` has the largest mean IoU on at most `MAX_TUNING_SAMPLES`
-    validation samples, evenly spread: the same rule for every method.
+    """Find the thresholds at which a method has the largest mean IoU on validation samples.
 
-    If all do equally well, or the method predicts nothing of the validation split, `thresholds`.
+    At most `MAX_TUNING_SAMPLES` are completed, evenly spread: the same rule for every method.
+
+    Args:
+        method: The method.
+        dataset: The dataset.
+        thresholds: The usual ones.
+
+    Returns:
+        The tuned thresholds; `thresholds` if all do equally well, or the method predicts nothing of
+        the validation split.
     """
     split = dataset.split("val")
     rows, name = [], ""
     for index in evenly(len(split), MAX_TUNING_SAMPLES) if len(split) else ():
         sample = split[index]
         try:
-            completion = method.completion(sample, split)
+            (completion,) = answers(method, sample, split, 0, index, draws=1)
         except KeyError:  # a file that predicts the test split alone
             return thresholds
         name = judged_by(completion)

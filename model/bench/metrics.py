@@ -1,18 +1,26 @@
-"""Every metric once; and reconstruction: how near a completion comes to the truth, voxel by voxel
-(Table I).
+"""Every metric once: of reconstruction, which compares a completed map with the truth (Table I),
+and of planning.
+
+One more metric of maps is an entry of `METRICS`, or a user's own, as ``--metric module:Object``.
 """
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from lidarsim.grid import Field, Floats, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
+from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
-from scenegen.model.config import NEAR_M
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import NEAR_M, OWN_METRICS, Thresholds, named, target_name
+from scenegen.model.targets import Target
 
 NAN = float("nan")
 
@@ -40,14 +48,46 @@ class Sums(NamedTuple):
     """Voxels that are occupied, and not predicted to be."""
 
     def share(self, part: float, whole: float) -> float:
-        """`part` of `whole`; 0 of nothing, and 1 where nothing is occupied and nothing
-        predicted."""
+        """Divide two sums.
+
+        Args:
+            part: The part.
+            whole: The whole.
+
+        Returns:
+            The share; 0 of nothing, and 1 where nothing is occupied and nothing predicted.
+        """
         nothing = self.hits + self.alarms + self.misses == 0
         return 1.0 if nothing else part / whole if whole else 0.0
 
 
 def _mean(total: float, count: float) -> float:
     return total / count if count else NAN
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoredMap:
+    """A completed map beside its truth. Arrays are (*grid.shape)."""
+
+    prediction: Prediction
+    truth: Mapping[str, NDArray[Any]]
+    """By target: always ``occupancy``, bool, and ``tudf``, metres; several channels come first."""
+    grid: GridSpec
+    thresholds: Thresholds
+    scored: Mask
+    """Voxels that count: above the ground's underside, and known in a map of a real place."""
+    certain: Mask | None = None
+    """Voxels whose true distance is certain; None: all."""
+
+    @cached_property
+    def occupied(self) -> Mask:
+        """Voxels that are predicted to be occupied, at the thresholds."""
+        return self.prediction.occupied(self.thresholds)
+
+    @cached_property
+    def distance(self) -> Field:
+        """Predicted distances, metres."""
+        return self.prediction.distance(self.thresholds, self.grid)
 
 
 @dataclass(frozen=True)
@@ -57,16 +97,19 @@ class Metric:
     title: str
     """What people call it."""
     of: Callable[[Any], float]
-    """Its value for a map's `Sums`, or for a trial's `Measurement`; NaN where there is nothing to
-    measure."""
-    needs: Literal["distance", "occupancy", "trial", "path"]
-    """Which part of a prediction it judges; or whether trials without a path have a value, too, or
-    only those that found one."""
+    """Its value for a `ScoredMap`, the `Sums` over a region of it, or a trial's `Measurement`, as
+    `needs` says; NaN where there is nothing to measure."""
+    needs: Literal["distance", "occupancy", "map", "trial", "path"] = "map"
+    """Distance or occupancy: it is a function of `Sums`, which has a value in every region. Map: it
+    is a function of the `ScoredMap`, and has a value for whole maps alone. Trial: all trials have a
+    value. Path: only trials that found a path have one."""
     better: Literal["higher", "lower", "nearer to 0"] = "higher"
     unit: str = ""
     tested: tuple[Literal["map", "unobserved", "unmarked"], ...] = ()
     """Where methods are compared in pairs by it: over the voxels of the whole map, or the unknown
     ones; in planning, "map" means all trials, "unmarked" the trials of `MethodResult.unmarked`."""
+    bench_only: bool = False
+    """Whether it takes too long for validation during training."""
 
     @property
     def label(self) -> str:
@@ -77,6 +120,42 @@ class Metric:
     def scale(self) -> Scale:
         """What its values are."""
         return "outcome" if self.needs == "trial" else "amount" if self.unit else "share"
+
+
+def surface(occupied: Mask, scored: Mask) -> Mask:
+    """Find the occupied voxels that border on a free one.
+
+    Args:
+        occupied: Occupied voxels (*shape).
+        scored: Voxels that count (*shape). Others, and those beyond the map, are no neighbours.
+
+    Returns:
+        (*shape): scored, occupied voxels with a scored, free voxel among their six neighbours.
+    """
+    buried = ndimage.binary_erosion(occupied | ~scored, border_value=1)
+    return occupied & scored & ~buried
+
+
+def chamfer(scored_map: ScoredMap) -> float:
+    """Compute the symmetric chamfer distance between the predicted and the true surface, metres.
+
+    It is the mean of two means: over predicted surface voxels of the distance to the nearest true
+    one, and the reverse, between voxels' centres and without truncation. If both surfaces are
+    empty, it is 0. If one is, nothing is near, and it is the diagonal of the map: left out, a
+    method that predicts nothing would gain.
+    """
+    surfaces = [
+        surface(occupied, scored_map.scored)
+        for occupied in (scored_map.occupied, scored_map.truth["occupancy"])
+    ]
+    count = sum(mask.any() for mask in surfaces)
+    if count < 2:
+        return count * float(np.linalg.norm(scored_map.grid.extent_m))
+    voxels = sum(
+        ndimage.distance_transform_edt(~far)[near].mean() / 2
+        for near, far in (surfaces, surfaces[::-1])
+    )
+    return float(voxels) * scored_map.grid.voxel_m
 
 
 METRICS = {
@@ -116,8 +195,10 @@ METRICS = {
     ),
     "precision": Metric("precision", lambda s: s.share(s.hits, s.hits + s.alarms), "occupancy"),
     "recall": Metric("recall", lambda s: s.share(s.hits, s.hits + s.misses), "occupancy"),
+    # two distance transforms of the whole map
+    "chamfer": Metric("chamfer distance", chamfer, better="lower", unit="m", bench_only=True),
 }
-"""Reconstruction: the paper's ten, section "Quantitative Reconstruction Results"."""
+"""Reconstruction: the paper's ten, section "Quantitative Reconstruction Results", and ours."""
 PLAN_METRICS = {
     "success_blocked": Metric(
         "success, blocked line",
@@ -144,32 +225,109 @@ PLAN_METRICS = {
 Distance Fields"; the first leads the tables, and `hits` those of maps of real places."""
 
 
-def measure(
-    occupied: Mask,
-    distance: Field,
-    true_occupancy: Mask,
-    true_distance: Field,
-    *,
-    classes: NDArray[np.uint8],
-    class_count: int,
-    union: Sequence[int] = (),
-    certain: Mask | None = None,
-) -> Floats:
-    """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
-    those of the classes in `union`, and over each class.
+def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Target]]:
+    """Import a user's own metrics.
 
-    All grids have the same shape. Voxels are near an obstacle at `NEAR_M` metres or less. `classes`
-    holds numbers below `class_count`; a voxel with another number, such as `visibility.UNSCORED`,
-    is left out everywhere. Distances count where they are `certain` (*grid.shape), everywhere by
-    default. A map in which nothing is occupied and nothing predicted scores 1 in all four occupancy
-    metrics; otherwise a ratio of nothing to nothing is 0. Distance metrics over no voxel are NaN.
+    Args:
+        names: Each ``module:Object``: a `Metric`, a class of one, a function of a `ScoredMap`, or a
+            class of a `Target`, which brings the metrics of its own.
+
+    Returns:
+        The metrics by name, and the targets by `target_name`.
+
+    Raises:
+        ScenegenError: There is no such object, it is something else, or its name is taken.
     """
-    sums = np.zeros((class_count, len(Sums._fields)))
-    sure = np.ones(classes.shape, bool) if certain is None else certain
-    grids = (occupied, distance, true_occupancy, true_distance, classes, sure)
+    metrics, targets = dict[str, Metric](), dict[str, Target]()
+    for name in names:
+        entry, short = named(OWN_METRICS, name), name.rpartition(":")[2]
+        if inspect.isclass(entry):
+            entry = entry()
+        if isinstance(entry, Target):
+            targets[target_name(name)] = entry
+            continue
+        if not isinstance(entry, Metric) and callable(entry):
+            entry = Metric(short.replace("_", " "), entry)
+        if not isinstance(entry, Metric) or entry.needs in ("trial", "path"):
+            raise ScenegenError(
+                f"metric {name}: expected a scenegen.model.bench.metrics.Metric of maps, a "
+                "function of a map, or a Target"
+            )
+        if short in (*METRICS, *PLAN_METRICS, *metrics):
+            raise ScenegenError(f"metric {name}: there is a metric called {short}; rename it")
+        metrics[short] = entry
+    return metrics, targets
+
+
+def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict[str, Metric]:
+    """List the metrics of maps: `METRICS`, those of targets, and a user's own.
+
+    Args:
+        targets: Targets by name; a metric of theirs is called ``<target>_<metric>``.
+        names: A user's own metrics; see `find_metrics`, also for what this raises.
+    """
+    of_targets = {
+        f"{target}_{name}": metric
+        for target, kind in targets.items()
+        for name, metric in kind.metrics.items()
+    }
+    return {**METRICS, **of_targets, **find_metrics(names)[0]}
+
+
+def measure(
+    scored_map: ScoredMap,
+    metrics: Mapping[str, Metric],
+    *,
+    classes: NDArray[np.uint8] | None = None,
+    class_count: int = 1,
+    union: Sequence[int] = (),
+) -> Floats:
+    """Compute the metrics of one map.
+
+    Voxels are near an obstacle at `NEAR_M` metres or less. A map in which nothing is occupied and
+    nothing predicted scores 1 in all four occupancy metrics; otherwise a ratio of nothing to
+    nothing is 0. Distance metrics over no voxel are NaN.
+
+    Args:
+        scored_map: The map and its truth.
+        metrics: The metrics.
+        classes: Class of every voxel, below `class_count`; a larger number, such as
+            `visibility.UNSCORED`, is counted nowhere. By default, scored voxels have class 0.
+        class_count: Number of classes.
+        union: Classes over which metrics are also computed together.
+
+    Returns:
+        (2 + class_count, metrics): over all classes, over those in `union`, and over each class.
+        Metrics that need the map have a value in the first row only, and NaN elsewhere.
+    """
+    if classes is None:
+        classes = np.where(scored_map.scored, np.uint8(0), np.uint8(class_count))
+    sums, certain = np.zeros((class_count, len(Sums._fields))), scored_map.certain
+    grids = (
+        scored_map.occupied,
+        scored_map.distance,
+        scored_map.truth["occupancy"],
+        scored_map.truth["tudf"],
+        classes,
+        np.ones(classes.shape, bool) if certain is None else certain,
+    )
     _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
-    return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], float)
+    values = np.full((len(rows), len(metrics)), NAN)
+    for column, metric in enumerate(metrics.values()):
+        if metric.needs == "map":
+            values[0, column] = _value(metric, scored_map)
+        else:
+            values[:, column] = [metric.of(row) for row in rows]
+    return values
+
+
+def _value(metric: Metric, scored_map: ScoredMap) -> float:
+    """A metric of a map; a user's own code may fail, and a worker hands over no traceback."""
+    try:
+        return float(metric.of(scored_map))
+    except Exception as error:
+        raise as_own_code_error(error) from None
 
 
 @kernel

@@ -60,8 +60,17 @@ class Lattice:
         return np.asarray((self.voxels(nodes) + 0.5) * self.grid.voxel_m)
 
     def node_at(self, point: ArrayLike) -> Ints:
-        """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within
-        1e-6 m."""
+        """Find the node at a point.
+
+        Args:
+            point: (3,), map frame, metres.
+
+        Returns:
+            The node (3,).
+
+        Raises:
+            ValueError: There is none within 1e-6 m.
+        """
         point = np.asarray(point, float)
         if point.shape == (3,) and np.isfinite(point).all():
             steps = (point / self.grid.voxel_m - 0.5 - self.first) / self.step
@@ -121,8 +130,17 @@ def plan_path(
 
 
 def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
-    """`values` as a contiguous array of `dtype`. Raises ValueError where its shape is not the
-    grid's."""
+    """Make an array contiguous and of a type.
+
+    Args:
+        values: The array.
+        name: Its name, for errors.
+        grid: The grid.
+        dtype: The type.
+
+    Raises:
+        ValueError: Its shape is not the grid's.
+    """
     values = np.ascontiguousarray(values, dtype)
     if values.shape != grid.shape:
         raise ValueError(f"{name}: shape {values.shape} must be the grid's, {grid.shape}")
@@ -144,15 +162,21 @@ of the field."""
 
 
 def refine(waypoints: ArrayLike, tudf: Field, grid: GridSpec, config: PlanConfig) -> Floats:
-    """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres;
-    ends stay.
+    """Refine a path by gradient descent on `_cost`; its ends stay.
 
-    The paper's section "Planning Evaluation", whose optimizer is not told; here each of
+    The paper's section "Planning Evaluation", which does not name the optimizer. Here each of
     `config.iterations` steps is projected onto the box of the map's voxel centres, where the field
     is interpolated and never extrapolated, and shortened until it brings Armijo's decrease, so that
     the cost never rises. Ends early where no step does.
 
-    `tudf` (*grid.shape) is the predicted distance, metres.
+    Args:
+        waypoints: The path (n, 3), map frame, metres.
+        tudf: Predicted distances (*grid.shape), metres.
+        grid: The grid.
+        config: The planner.
+
+    Returns:
+        The path (n, 3).
     """
     return _descend(
         np.ascontiguousarray(waypoints, float),
@@ -166,8 +190,18 @@ def refine(waypoints: ArrayLike, tudf: Field, grid: GridSpec, config: PlanConfig
 
 @kernel
 def field_at(tudf, x, y, z, voxel_m):
-    """The field at a point of the map, metres, and its gradient there: (value, d/dx, d/dy,
-    d/dz)."""
+    """Interpolate a field at a point.
+
+    Args:
+        tudf: The field (X, Y, Z), metres.
+        x: The point in the map frame, metres.
+        y: See `x`.
+        z: See `x`.
+        voxel_m: Edge of a voxel, metres.
+
+    Returns:
+        Value, metres, and gradient: (value, d/dx, d/dy, d/dz).
+    """
     nx, ny, nz = tudf.shape
     i, u, in_x = _cell(x, voxel_m, nx)
     j, v, in_y = _cell(y, voxel_m, ny)

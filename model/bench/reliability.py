@@ -38,7 +38,12 @@ SMALLEST = 1e-7
 
 
 def count_map(prediction: Prediction, case: Case) -> Floats:
-    """The counts of what a method predicts of a sample's map, see `count`."""
+    """Count the voxels of a sample's map by predicted probability, see `count`.
+
+    Args:
+        prediction: A method's prediction.
+        case: The sample.
+    """
     sample, grid = case.sample, case.grid
     probability, calibrated = prediction.occupancy_probability, prediction.probability
     inside = regions(
@@ -76,8 +81,16 @@ def count(
     occupancy: Mask,
     inside: Mask,
 ) -> Floats:
-    """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
-    so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
+    """Count the voxels of a map by predicted probability.
+
+    Args:
+        readings: Probabilities (*shape) of the first so many `READINGS`.
+        occupancy: True occupancy (*shape).
+        inside: Voxels of each region, (regions, *shape).
+
+    Returns:
+        (regions, READINGS, BINS, COUNTS).
+    """
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
     for n, probability in enumerate(readings):
         masks = inside.reshape(len(inside), -1)
@@ -103,14 +116,18 @@ def _count(probability, occupancy, inside, counts):
 
 
 def reliability(counts: Floats, worlds: Ints) -> Json:
-    """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels;
-    and over all voxels
-    the negative log-likelihood, the Brier score, and the expected calibration error, which is the
-    mean of
-    |occupied - said| by bin, with 95 % intervals. Probability types that a method lacks, and
-    regions without voxels, are omitted.
+    """Compute the reliability of N maps.
 
-    `counts` (N, regions, readings, BINS, counts) are those of `count`.
+    Probability types that a method lacks, and regions without voxels, are omitted.
+
+    Args:
+        counts: From `count`, of each map: (N, regions, readings, BINS, counts).
+        worlds: The maps' worlds, (N,).
+
+    Returns:
+        By region and reading, the bins that hold voxels; and over all voxels the negative
+        log-likelihood, the Brier score and the expected calibration error, the mean of |occupied −
+        predicted| by bin, with 95 % intervals.
     """
     by_region: Json = {}
     for r, region in enumerate(REGIONS):
@@ -159,11 +176,11 @@ SCORES = ("ece", "nll", "brier")
 """What probabilities are judged by."""
 
 
-def reliability_tables(found: Json) -> list[tuple[Any, ...]]:
+def reliability_tables(by_method: Json) -> list[tuple[Any, ...]]:
     """A table of `reliability` of every method by name, as (title, heads, rows); none without
     probabilities."""
     rows = []
-    for name, by_region in found.items():
+    for name, by_region in by_method.items():
         for region, readings in (by_region or {}).items():
             for reading, scores in readings.items():
                 # the interval of the first, the calibration error, stands beside it

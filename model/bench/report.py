@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scenegen.base.files import Json
-from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric, ScoredMap
 from scenegen.model.bench.reliability import reliability, reliability_tables
 from scenegen.model.bench.run import DatasetResult, MethodResult
 from scenegen.model.bench.statistics import (
@@ -42,8 +42,15 @@ def summaries(
     region: int = 0,
     chosen: Any = True,
 ) -> Json:
-    """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
-    alone."""
+    """Summarise metrics, see `summarise`.
+
+    Args:
+        method: The method.
+        result: All methods on the dataset.
+        metrics: The metrics by name.
+        region: Row of `MethodResult.reconstruction`, for metrics of maps.
+        chosen: Mask of trials (trials,), for metrics of trials; True: all.
+    """
     return {
         name: summarise(
             np.where(chosen, method.values(name, region), np.nan),
@@ -55,48 +62,81 @@ def summaries(
 
 
 def reconstruction_of(method: MethodResult, result: DatasetResult) -> Json:
-    """The metrics of maps: means over the whole map at the usual thresholds, and variants."""
-    whole_map, unobserved, *by_class, tuned = (
-        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
+    """Summarise the metrics of maps.
+
+    Args:
+        method: The method.
+        result: All methods on the dataset.
+
+    Returns:
+        Means over the whole map at the usual thresholds, by metric, and variants under keys of
+        their own.
+    """
+    # others have no value in a part of a map
+    in_parts = {name: metric for name, metric in result.metrics.items() if metric.needs != "map"}
+    unobserved, *by_class = (
+        summaries(method, result, in_parts, region) for region in range(1, len(CLASSES) + 2)
     )
+    whole_map, tuned = (summaries(method, result, result.metrics, row) for row in (0, -1))
+    best = {}
+    if method.best is not None:
+        over_best = replace(method, reconstruction=method.best[:, None])
+        best = {BEST_DRAW: summaries(over_best, result, result.metrics)}
     return {
         **whole_map,
+        **best,
         "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
         "unobserved": unobserved,
         "by_class": dict(zip(CLASSES, by_class, strict=True)),
     }
 
 
-def planning_of(found: MethodResult, result: DatasetResult) -> Json:
-    """The metrics of trials: means over all, and over some; ``unmarked`` only in maps of real
-    places."""
+def planning_of(method: MethodResult, result: DatasetResult) -> Json:
+    """Summarise the metrics of trials.
+
+    Args:
+        method: The method.
+        result: All methods on the dataset.
+
+    Returns:
+        Means over all trials, by metric, and over some of them under keys of their own;
+        ``unmarked`` only for maps of real places.
+    """
     on_paths = {name: metric for name, metric in PLAN_METRICS.items() if metric.needs == "path"}
     methods = result.methods.values()
     learned = [method for method in methods if method.learned] or methods
-    succeeded = [trial.success for trial in found.trials]
+    succeeded = [trial.success for trial in method.trials]
     # (learned methods, trials)
     all_succeeded = [[trial.success for trial in method.trials] for method in learned]
-    causes = (trial.cause for trial in found.trials if trial.cause is not None)
+    causes = (trial.cause for trial in method.trials if trial.cause is not None)
     unmarked = {}
-    if found.unmarked:
-        unmarked = {"unmarked": summaries(found.without_marks, result, PLAN_METRICS)}
+    if method.unmarked:
+        unmarked = {"unmarked": summaries(method.without_marks, result, PLAN_METRICS)}
     return {
-        **summaries(found, result, PLAN_METRICS),
+        **summaries(method, result, PLAN_METRICS),
         **unmarked,
-        "successes": summaries(found, result, on_paths, chosen=succeeded),
-        "all_succeed": summaries(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
+        "successes": summaries(method, result, on_paths, chosen=succeeded),
+        "all_succeed": summaries(method, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
         "failures": dict(Counter(causes)),
     }
 
 
 def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
-    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
-    its p-value, corrected over all of them."""
+    """Compare every pair of methods by every tested metric.
+
+    Args:
+        result: All methods on a dataset.
+        rng: Draws the permutations.
+
+    Returns:
+        A row for each pair and metric: the mean difference with its 95 % interval, and its p-value,
+        also corrected over all rows.
+    """
     tested = [
         (region, name)
         for region, metrics in (
-            ("map", METRICS),
-            ("unobserved", METRICS),
+            ("map", result.metrics),
+            ("unobserved", result.metrics),
             ("map", PLAN_METRICS),
             ("unmarked", PLAN_METRICS),
         )
@@ -141,6 +181,8 @@ TUNED = (
 """What must stand beside the paper's figures, wherever they are printed."""
 BEST_IOU = "best_iou"
 """A column of the tables."""
+BEST_DRAW = "best_of_draws"
+"""Key of the metrics of the best draw of each map, by the truth: no method knows which it is."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
 REFERENCES = ("truth", "seen")
 """Rows that read the ground truth, so that they are never marked as the best."""
@@ -155,11 +197,21 @@ CAUSES = {
 
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) -> Json:
-    """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``,
-    each {mean, std, low, high, n}, at the paper's thresholds; variants under their own keys beside
-    them; `about` as it is. Where there is one world, low and high are None; where nothing was
-    measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
-    those are None."""
+    """Collect all figures of a bench.
+
+    A figure is ``{mean, std, low, high, n}`` at the paper's thresholds. With one world, low and
+    high are None; where nothing was measured, mean and std are, too. JSON has no NaN and infinity,
+    so these are None.
+
+    Args:
+        results: The results by kind of worlds.
+        seed: Seed of the permutations of paired tests.
+        about: Facts to add as they are.
+
+    Returns:
+        ``reconstruction[kind][method][metric]``, ``planning[kind][method][metric]``, `tests`,
+        `datasets`, and the facts.
+    """
     parts = ("reconstruction", "planning", "tests", "datasets")
     report = {**about, **{part: {} for part in parts}}
     for result in results:
@@ -183,6 +235,15 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "blocked_lines": sum(trial.line_blocked for trial in first.trials),
             "excluded": dict(result.excluded),
         }
+        if any(method.best is not None for method in result.methods.values()):
+            report["datasets"][result.kind]["draws"] = result.config.draws
+        # a reader of the report has none of the code behind these
+        if further := {
+            name: {"title": metric.title, "better": metric.better, "unit": metric.unit}
+            for name, metric in result.metrics.items()
+            if name not in METRICS
+        }:
+            report["datasets"][result.kind]["metrics"] = further
         parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
         for part, figures_of in parts_of.items():
             report[part][result.kind] = {
@@ -221,13 +282,23 @@ def finite(value: Any) -> Any:
 
 
 def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric], Json, Json]]:
-    """The tables of a kind: their name, metrics, rows, and the paper's rows.
+    """List the tables of a kind of worlds.
 
-    Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
-    says where it lies: `at`.
+    Beside IoU stands IoU at the row's best threshold. If that is not the paper's, the figure says
+    which it is, as `at`.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind.
+
+    Yields:
+        Title, metrics by name, rows by method, and the paper's rows.
     """
     metrics, usual = dict[str, Metric](), asdict(Thresholds())
-    for name, metric in METRICS.items():
+    about = report["datasets"][kind]
+    entries = about.get("metrics", {}).items()
+    further = {name: Metric(of=_unknown, **entry) for name, entry in entries}
+    for name, metric in {**METRICS, **further}.items():
         metrics[name] = metric
         if name == "iou":
             metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
@@ -239,6 +310,9 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
         )
         rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
     yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
+    if best := {method: row[BEST_DRAW] for method, row in rows.items() if BEST_DRAW in row}:
+        title = f"reconstruction, each map's best of {about['draws']} draws by the truth"
+        yield title, {**METRICS, **further}, best, {}
     planning, paper = report["planning"][kind], PAPER["planning"].get(kind, {})
     if not any("unmarked" in row for row in planning.values()):
         yield "planning", PLAN_METRICS, planning, paper
@@ -250,8 +324,21 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     yield "planning, known space marked", metrics, planning, paper
 
 
+def _unknown(scored_map: ScoredMap) -> float:
+    """A metric of which a report tells how it is shown, and not how it is computed."""
+    raise NotImplementedError
+
+
 def blocks(report: Json, kind: str) -> Iterator[str | Table]:
-    """What people are shown of one kind: sentences and tables."""
+    """List the sentences and tables about one kind of worlds.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind.
+
+    Yields:
+        A paragraph or a table.
+    """
     about = report["datasets"][kind]
     yield _introduction(about)
     if kind in PAPER["planning"]:
@@ -319,7 +406,13 @@ def _paired_tests(tests: Sequence[Json]) -> Table:
 
 
 def best(rows: Json, name: str, metric: Metric) -> set[str]:
-    """The methods with the best mean of a metric, as it is printed; none of the references."""
+    """Find the methods with the best mean, as it is printed, without the references.
+
+    Args:
+        rows: Figures by method and metric.
+        name: Name of the metric.
+        metric: The metric.
+    """
     means = {
         method: round(row[name]["mean"], 3)
         for method, row in rows.items()
@@ -344,8 +437,12 @@ def to_markdown(report: Json) -> str:
 
 
 def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
-    """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
-    shows, and a WebP image."""
+    """Write the report as an HTML page.
+
+    Args:
+        report: From `build_report`.
+        pictures: Charts and failures by kind: a caption and a WebP image each.
+    """
     about = "".join(
         f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
         for name, value in report.items()

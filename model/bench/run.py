@@ -4,22 +4,31 @@ cores.
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, empty_split
+from scenegen.base.errors import DatasetError, ScenegenError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Rows, Split
 from scenegen.draw.sample import rng_of
-from scenegen.model.bench.methods import Method, check_rows, tune
-from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, measure
+from scenegen.model.bench.methods import Method, answers, check_rows, tune
+from scenegen.model.bench.metrics import (
+    METRICS,
+    PLAN_METRICS,
+    Metric,
+    ScoredMap,
+    find_metrics,
+    measure,
+    metrics_of,
+)
 from scenegen.model.bench.reliability import count_map
 from scenegen.model.bench.trials import (
     Measurement,
@@ -29,9 +38,10 @@ from scenegen.model.bench.trials import (
     risk_of,
     run_trial,
 )
-from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, Case, walled
+from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, UNSCORED, Case, walled
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
+from scenegen.model.targets import Target, truth_of
 from scenegen.truth import distance_field
 from scenegen.view.look import evenly
 
@@ -45,7 +55,8 @@ class MethodResult:
 
     reconstruction: Floats
     """(N, 3 + classes, metrics): over the whole map, over its unknown voxels, then by class of
-    voxels; and last over the whole map again, at the tuned thresholds."""
+    voxels; and last over the whole map again, at the tuned thresholds. Of a method that draws, the
+    means over its draws."""
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
@@ -56,6 +67,10 @@ class MethodResult:
     """Whether the method was trained, or may have been: see `Method.learned`."""
     probabilities: list[Floats]
     """Of every map, see `scenegen.model.bench.reliability.count`; empty unless asked for."""
+    best: Floats | None = None
+    """(N, metrics): of a method that draws, the best of its draws, over the whole map."""
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
+    """The metrics of `reconstruction`, by name."""
 
     @property
     def without_marks(self) -> "MethodResult":
@@ -63,11 +78,18 @@ class MethodResult:
         return replace(self, trials=self.unmarked)
 
     def values(self, metric: str, region: int = 0) -> Floats:
-        """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
-        trial, (trials,)."""
+        """Return the values of a metric.
+
+        Args:
+            metric: Its name.
+            region: Row of `reconstruction`, for a metric of maps.
+
+        Returns:
+            (N,) of every map, or (trials,) of every trial.
+        """
         if metric in PLAN_METRICS:
             return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
-        return self.reconstruction[:, region, [*METRICS].index(metric)]
+        return self.reconstruction[:, region, [*self.metrics].index(metric)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,6 +113,11 @@ class DatasetResult:
     methods: dict[str, MethodResult]
 
     @property
+    def metrics(self) -> Mapping[str, Metric]:
+        """The metrics of maps, by name."""
+        return next(iter(self.methods.values())).metrics
+
+    @property
     def marks_unknown(self) -> bool:
         """Whether these are maps of real places, with trials of `MethodResult.unmarked`."""
         return any(method.unmarked for method in self.methods.values())
@@ -105,6 +132,8 @@ class _MethodOnSample(NamedTuple):
 
     reconstruction: Floats
     """(3 + classes, metrics)"""
+    best: Floats | None
+    """(metrics,)"""
     trials: list[Measurement]
     unmarked: list[Measurement]
     probabilities: Floats | None
@@ -125,8 +154,15 @@ class _SampleResult(NamedTuple):
 def check_middle(
     dataset: AnyDataset, instead: str = "bench datasets whose maps lie around the sensor"
 ) -> None:
-    """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
-    would not begin at the sensor."""
+    """Check that maps lie around the sensor, since plans begin in their middle.
+
+    Args:
+        dataset: The dataset.
+        instead: What errors advise.
+
+    Raises:
+        DatasetError: They lie elsewhere.
+    """
     for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
@@ -136,9 +172,16 @@ def check_middle(
 
 
 def check_whole(dataset: AnyDataset, instead: str) -> None:
-    """Raise DatasetError, with what to do `instead`, for maps of real places, of which not all is
-    known."""
-    if any(one.manifest.known is not None for one in dataset.datasets):
+    """Check that all of every map is known.
+
+    Args:
+        dataset: The dataset.
+        instead: What errors advise.
+
+    Raises:
+        DatasetError: These are maps of real places.
+    """
+    if any(part.manifest.known is not None for part in dataset.datasets):
         raise DatasetError(
             f"{dataset.name}: its samples are of maps of real places, which do not know all; "
             f"{instead}"
@@ -146,7 +189,15 @@ def check_whole(dataset: AnyDataset, instead: str) -> None:
 
 
 def filled(dataset: AnyDataset, split: str) -> Split:
-    """A split of a dataset. Raises DatasetError where it is empty."""
+    """Return a split that has samples.
+
+    Args:
+        dataset: The dataset.
+        split: Name of the split.
+
+    Raises:
+        DatasetError: It is empty.
+    """
     samples = dataset.split(split)
     if not len(samples):
         raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
@@ -163,12 +214,20 @@ def bench(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> DatasetResult:
-    """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
-    goals for every method.
+    """Measure methods on a dataset, with the same goals for every method.
 
-    `execute` has a few samples measured at a time. `on_start` is called with the number of samples
-    once the work has begun, `on_done` with how many more are measured. Raises DatasetError for an
-    empty split, and where `execute` leaves samples to others: a report is of all of them.
+    Args:
+        dataset: The dataset.
+        methods: The methods.
+        config: What is measured.
+        kind: Measure only samples of this kind of worlds.
+        execute: Measures a few samples at a time.
+        on_start: Called with the number of samples once the work has begun.
+        on_done: Called with the number of samples of each part that is done.
+
+    Raises:
+        DatasetError: The split is empty, or `execute` leaves samples to other processes: a report
+            is of all of them.
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
@@ -182,9 +241,11 @@ def bench(
     tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
+    targets = measured_targets(methods, config, split, numbers[0])
+    metrics = metrics_of(targets, config.metrics)
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
-    work = partial(_bench_samples, dataset, methods, tuned, trials_each, config)
+    work = partial(_bench_samples, dataset, methods, tuned, targets, trials_each, config)
     chunks = counted(execute, work, tasks, total=len(numbers), on_start=on_start, on_done=on_done)
     samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
     # (trial's number within its sample, sample): first trials come first, so that a cut to the
@@ -205,15 +266,49 @@ def bench(
         trial_places=tuple((samples[n].number, trial) for trial, n in trials),
         excluded=sum((sample.excluded for sample in samples), start=Counter()),
         methods={
-            method.name: _joined(method, best, results, trials)
+            method.name: _joined(method, best, metrics, results, trials)
             for method, best, results in zip(methods, tuned, by_method, strict=True)
         },
     )
 
 
+def measured_targets(
+    methods: Sequence[Method], config: BenchConfig, split: Split, index: int
+) -> dict[str, Target]:
+    """Find the targets whose metrics are measured on a dataset.
+
+    Args:
+        methods: Methods, whose targets count as far as the dataset has their truth.
+        config: Names further targets.
+        split: The split.
+        index: Number of a sample, which shows what the dataset has.
+
+    Raises:
+        DatasetError: The dataset lacks the truth of a named target.
+    """
+    named = find_metrics(config.metrics)[1]
+    targets, sample, grid = dict[str, Target](), split[index], split.dataset.grid
+    for method in methods:
+        targets |= getattr(method, "targets", {})
+    measured = dict[str, Target]()
+    for name, target in (targets | named).items():
+        if target.metrics:
+            try:
+                truth_of(target, name, sample, grid)
+            except ScenegenError as error:
+                if name in named:
+                    raise DatasetError(
+                        f"{split.dataset.name}: has no truth of the target {name} ({error})"
+                    ) from None
+            else:
+                measured[name] = target
+    return measured
+
+
 def _joined(
     method: Method,
     tuned: Thresholds,
+    metrics: Mapping[str, Metric],
     results: Sequence[_MethodOnSample],
     trials: Sequence[tuple[int, int]],
 ) -> MethodResult:
@@ -228,6 +323,8 @@ def _joined(
         probabilities=[
             result.probabilities for result in results if result.probabilities is not None
         ],
+        best=None if results[0].best is None else np.array([result.best for result in results]),
+        metrics=metrics,
     )
 
 
@@ -240,11 +337,19 @@ def bench_all(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> list[DatasetResult]:
-    """Measure `methods` on every kind of worlds in `datasets`; for `on_start` and `on_done`, which
-    are called for each kind, see `bench`.
+    """Measure methods on every kind of worlds of some datasets.
 
-    Raises DatasetError where a file of predictions is not of all datasets, and where two datasets
-    have samples of one kind; and as `bench` does.
+    Args:
+        datasets: The datasets.
+        methods: The methods.
+        config: What is measured.
+        execute: Measures a few samples at a time.
+        on_start: Called for each kind, see `bench`.
+        on_done: Called for each kind, see `bench`.
+
+    Raises:
+        DatasetError: A file of predictions is not of all datasets, two datasets have samples of one
+            kind, or as in `bench`.
     """
     check_rows(methods, datasets, config.split)
     tables = [
@@ -277,20 +382,22 @@ def _bench_samples(
     dataset: AnyDataset,
     methods: Sequence[Method],
     tuned: Sequence[Thresholds],
+    targets: Mapping[str, Target],
     trials_each: int,
     config: BenchConfig,
     rows: Rows,
 ) -> list[_SampleResult]:
     """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
-    `trials_each` planning trials on each."""
-    split = dataset.split(rows.split)
-    measured = []
+    `trials_each` planning trials on each, and the metrics of `targets`, too."""
+    split, measured = dataset.split(rows.split), []
+    metrics = metrics_of(targets, config.metrics)  # by name: not all metrics can be pickled
     for index in rows.numbers:
         sample = split[index]
         case = Case(sample, index, split)
         drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
+        truth = true_maps(case, targets)
         results = [
-            _bench_method(method, best, case, drawn.goals, config)
+            _bench_method(method, best, case, truth, metrics, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
         ]
         known_share = 1.0 if sample.known is None else float(sample.known.mean())
@@ -299,42 +406,110 @@ def _bench_samples(
     return measured
 
 
+def true_maps(case: Case, targets: Mapping[str, Target]) -> dict[str, NDArray[Any]]:
+    """Return the truth of occupancy, distances and further targets of a sample.
+
+    Args:
+        case: The sample.
+        targets: Further targets by name.
+
+    Returns:
+        (*grid.shape) or (channels, *grid.shape), by target.
+    """
+    sample = case.sample
+    truth: dict[str, NDArray[Any]] = {"occupancy": sample.occupancy, "tudf": sample.tudf}
+    return truth | {
+        name: truth_of(target, name, sample, case.grid) for name, target in targets.items()
+    }
+
+
+def scored_map(
+    prediction: Prediction, case: Case, truth: Mapping[str, NDArray[Any]], at: Thresholds
+) -> ScoredMap:
+    """Put a prediction beside the truth of its sample.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        truth: From `true_maps`.
+        at: Thresholds of the prediction.
+    """
+    return ScoredMap(
+        prediction=prediction,
+        truth=truth,
+        grid=case.grid,
+        thresholds=at,
+        scored=case.classes != UNSCORED,
+        certain=case.certain,
+    )
+
+
 def _bench_method(
-    method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
+    method: Method,
+    tuned: Thresholds,
+    case: Case,
+    truth: Mapping[str, NDArray[Any]],
+    metrics: Mapping[str, Metric],
+    goals: Floats,
+    config: BenchConfig,
 ) -> _MethodOnSample:
     """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
-    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities."""
-    sample, grid, usual = case.sample, case.grid, config.thresholds
-    prediction = method.completion(sample, case.split)
+    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities. Paths
+    and probabilities are those of the first draw."""
+    sample, usual = case.sample, config.thresholds
+    drawn = answers(method, sample, case.split, config.seed, case.index, draws=config.draws)
 
-    def scores(at: Thresholds) -> Floats:
+    def scores(prediction: Prediction, at: Thresholds) -> Floats:
         """(2 + classes, metrics) of the map at some thresholds."""
         return measure(
-            prediction.occupied(at),
-            prediction.distance(at, grid),
-            sample.occupancy,
-            sample.tudf,
+            scored_map(prediction, case, truth, at),
+            metrics,
             classes=case.classes,
             class_count=len(CLASSES),
             union=UNOBSERVED,
-            certain=case.certain,
         )
 
-    by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
-    trials = plan_all(prediction, case, goals, config)
+    tables = []
+    for prediction in drawn:
+        # most often, these are the same
+        by_thresholds = {at: scores(prediction, at) for at in {usual, tuned}}
+        tables.append(np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]]))
+    reconstruction, best = tables[0], None
+    if getattr(method, "draws", False):
+        reconstruction, best = _over_draws(np.array(tables), metrics)
+    trials = plan_all(drawn[0], case, goals, config)
     unmarked = []
     if sample.known is not None:
-        unmarked = plan_all(prediction, case, goals, config, marked=False)
-    probabilities = count_map(prediction, case) if config.reliability else None
-    reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
-    return _MethodOnSample(reconstruction, trials, unmarked, probabilities)
+        unmarked = plan_all(drawn[0], case, goals, config, marked=False)
+    probabilities = count_map(drawn[0], case) if config.reliability else None
+    return _MethodOnSample(reconstruction, best, trials, unmarked, probabilities)
+
+
+def _over_draws(tables: Floats, metrics: Mapping[str, Metric]) -> tuple[Floats, Floats]:
+    """Return the means over draws of (draws, rows, metrics), without NaN, as (rows, metrics), and
+    of the first row each metric's best draw, (metrics,)."""
+    masked = np.ma.masked_invalid(tables)
+    distances = {"higher": np.negative, "lower": np.positive, "nearer to 0": np.abs}
+    best = np.full(len(metrics), np.nan)
+    for column, metric in enumerate(metrics.values()):
+        values = masked[:, 0, column].compressed()
+        if len(values):
+            best[column] = values[distances[metric.better](values).argmin()]
+    return masked.mean(axis=0).filled(np.nan), best
 
 
 def plan_all(
     prediction: Prediction, case: Case, goals: Floats, config: BenchConfig, *, marked: bool = True
 ) -> list[Measurement]:
-    """Plan on what is predicted of a sample's map to every goal (trials, 3), map frame, metres, and
-    judge in its truth. See `planner_maps` for `marked`."""
+    """Plan to every goal of a sample on its predicted map, and judge in the truth.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        goals: (trials, 3), map frame, metres.
+        config: Thresholds and planner.
+        marked: See `planner_maps`.
+    """
     occupied, distance, risk = planner_maps(prediction, case, config, marked=marked)
     sample, grid, plan = case.sample, case.grid, config.plan
     obstacle, crossed = sample.occupancy.reshape(-1), sample.free.reshape(-1)
@@ -355,26 +530,43 @@ def plan_all(
 
 
 def planner_maps(
-    said: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
+    prediction: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
 ) -> tuple[Mask, Field, Field | None]:
-    """What the planner of `config` is given of a prediction: a collision map, distances, metres,
-    and for the careful planner the risk of every voxel, (*grid.shape) each. If `marked`, voxels
-    that are unknown in a map of a real place are occupied, whatever is predicted of them."""
+    """Make the maps that the planner gets from a prediction.
+
+    Args:
+        prediction: The prediction.
+        case: The sample.
+        config: Thresholds and planner.
+        marked: Whether voxels that are unknown in a map of a real place are occupied, whatever is
+            predicted.
+
+    Returns:
+        A collision map, distances, metres, and the risk of every voxel for the careful planner,
+        (*grid.shape) each.
+    """
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
     sample, grid = case.sample, case.grid
     if careful:
         at = replace(at, probability=plan.careful_probability)
-    occupied, distance = said.occupied(at), said.distance(at, grid)
+    occupied, distance = prediction.occupied(at), prediction.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
     if marked:
         occupied, distance = walled(occupied, distance, sample.known, grid)
     seen = sample.observed | sample.free
-    return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
+    return occupied, distance, risk_of(prediction, occupied, seen, plan) if careful else None
 
 
 def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator) -> Trials:
-    """The first `count` trials on the map of a sample, with goals within its world."""
+    """Draw trials on the map of a sample, with goals within its world.
+
+    Args:
+        case: The sample.
+        plan: The planner.
+        count: How many.
+        rng: Random numbers.
+    """
     world = case.split.home(case.index).tables.world  # those from MJCF files have no box
     origin = case.sample.origin
     bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin

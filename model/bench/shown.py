@@ -12,10 +12,17 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.files import Json
 from scenegen.dataset.read import Split
 from scenegen.draw.sample import rng_of
-from scenegen.model.bench.methods import Method
+from scenegen.model.bench.methods import Method, answers
 from scenegen.model.bench.planner import Lattice
 from scenegen.model.bench.report import CAUSES, tables
-from scenegen.model.bench.run import DatasetResult, planner_maps, trials_of
+from scenegen.model.bench.run import (
+    DatasetResult,
+    measured_targets,
+    planner_maps,
+    scored_map,
+    trials_of,
+    true_maps,
+)
 from scenegen.model.bench.trials import judge, plan_trial
 from scenegen.model.bench.visibility import Case
 from scenegen.model.config import BenchConfig, PlanConfig
@@ -25,9 +32,21 @@ from scenegen.view.look import Guess, Route, look_into
 def guesses(
     methods: Sequence[Method], config: BenchConfig, trial: int | None, split: Split, index: int
 ) -> list[Guess]:
-    """What `methods` say of sample `index` of a split, each with its path to the goal of the
-    bench's trial number `trial` in that sample, at the thresholds and by the planner of `config`;
-    without paths where `trial` is None, or the sample has no such trial."""
+    """Predict a sample by several methods, and plan on each prediction.
+
+    Args:
+        methods: The methods.
+        config: Thresholds and planner.
+        trial: Number of the bench's trial in this sample, whose goal paths lead to; None: no paths.
+        split: The split.
+        index: The sample's number in it.
+
+    Returns:
+        The predictions. They have no path if the sample has no such trial.
+
+    Raises:
+        DatasetError: A file of predictions lacks the sample.
+    """
     case, goal = Case(split[index], index, split), None
     if trial is not None:
         goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
@@ -35,22 +54,38 @@ def guesses(
     guessed = []
     for method in methods:
         try:
-            prediction = method.completion(case.sample, split)
+            (prediction,) = answers(method, case.sample, split, config.seed, index, draws=1)
         except KeyError:
             raise DatasetError(f"{method.name} does not predict it") from None
         at = config.thresholds
         occupied, tudf = prediction.occupied(at), prediction.distance(at, case.grid)
         maps = planner_maps(prediction, case, config)
         route = None if goal is None else route_to(goal, *maps, case, config.plan)
-        guessed.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
+        targets = measured_targets([method], config, split, index)
+        judged = scored_map(prediction, case, true_maps(case, targets), at)
+        figures = {
+            metric.label: f"{metric.of(judged):.3f}"
+            for target in targets.values()
+            for metric in target.metrics.values()
+        }
+        guess = Guess(name=method.name, occupied=occupied, tudf=tudf, route=route, figures=figures)
+        guessed.append(guess)
     return guessed
 
 
 def route_to(
     goal: Floats, occupied: Mask, tudf: Field, risk: Field | None, case: Case, config: PlanConfig
 ) -> Route:
-    """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
-    truth; see `scenegen.model.bench.trials.run_trial`."""
+    """Plan a path on predicted maps as the bench does, and judge it in the truth.
+
+    Args:
+        goal: The goal (3,), map frame, metres.
+        occupied: Predicted occupancy (*grid.shape).
+        tudf: Predicted distances (*grid.shape), metres.
+        risk: Risk of every voxel for the careful planner, or None.
+        case: The sample.
+        config: The planner.
+    """
     origin, grid = case.sample.origin, case.grid
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
     measured = judge(plan, refined, *case.truth, grid)
@@ -90,8 +125,18 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
 
 
 def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
-    """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
-    installed."""
+    """Draw trials in which the best learned method hits an obstacle.
+
+    Args:
+        result: All methods on a dataset.
+        methods: The methods.
+
+    Returns:
+        Captions and WebP images.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
     from scenegen.view.figures import draw_paths
 
     learned = [method for method in methods if method.learned]
@@ -107,20 +152,31 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     return pictures
 
 
-CHARTS = {"reconstruction": ("iou", "near_rmse")}
-"""Metrics that are drawn, by table; of planning, the one that leads the table, and clearance."""
+CHARTS = ("iou", "near_rmse")
+"""Metrics of maps that are drawn; of planning, the one that leads the table, and clearance."""
 
 
 def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
-    """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
-    ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
+    """Draw charts: a dot with its interval for each method, a ring for each of the paper's.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind of worlds.
+
+    Returns:
+        Captions and WebP images.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
     from matplotlib.figure import Figure
 
     from scenegen.view.panels import MAP, SOFT, plain
 
     charts = []
     for table, metrics, rows, reference in tables(report, kind):
-        for name in CHARTS.get(table, (next(iter(metrics)), "min_clearance")):
+        planned = next(iter(metrics)), "min_clearance"
+        for name in CHARTS if table.startswith("reconstruction") else planned:
             dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
             papers = {
                 f"{method} (paper)": row[name][0]
@@ -136,7 +192,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
             axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
             axes.invert_yaxis()
             axes.grid(axis="x")
-            charts.append((metrics[name].label, _webp(figure)))
+            _, comma, best_draws = table.partition(", each")
+            charts.append((metrics[name].label + comma + best_draws, _webp(figure)))
     return charts
 
 

@@ -61,13 +61,17 @@ class Estimate:
 
 
 def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats]) -> Estimate:
-    """What `of` makes of sums (draws, k) over all samples, as (draws,), with its error over worlds.
+    """Estimate a function of sums over samples, with its error over worlds.
 
-    `sums` (N, k) are those of each sample, of `worlds` (N,). The error is the jackknife's, which
-    leaves out one world at a time, with as many degrees of freedom as worlds less one (MacKinnon,
-    Nielsen and Webb, "Fast and reliable jackknife and bootstrap methods for cluster-robust
-    inference", Journal of Applied Econometrics 38, 2023). A bootstrap that draws worlds again is
-    far too narrow where worlds are few.
+    The error is the jackknife's, which leaves out one world at a time, with as many degrees of
+    freedom as worlds less one (MacKinnon, Nielsen and Webb, "Fast and reliable jackknife and
+    bootstrap methods for cluster-robust inference", Journal of Applied Econometrics 38, 2023). A
+    bootstrap that draws worlds again is far too narrow where worlds are few.
+
+    Args:
+        sums: Sums of each sample, (N, k).
+        worlds: Its world, (N,).
+        of: Function from sums (draws, k) to values (draws,).
     """
     _, member = np.unique(worlds, return_inverse=True)
     totals = np.zeros((member.max(initial=-1) + 1, np.shape(sums)[1]))
@@ -131,11 +135,19 @@ def caution(worlds: int) -> str:
 def paired_p(
     first: ArrayLike, second: ArrayLike, worlds: ArrayLike, *, rng: np.random.Generator
 ) -> float:
-    """Two-sided p-value that two methods do equally well on the same samples (N,) each.
+    """Test whether two methods do equally well on the same samples.
 
     A sign-flip permutation test on the worlds' summed differences: under the hypothesis, which
-    method is which is a coin toss in every world. Samples where either is NaN are left out; 1 where
-    none differs.
+    method is which is a coin toss in every world. Samples where either is NaN are left out.
+
+    Args:
+        first: Values of one method, (N,).
+        second: Values of the other, (N,).
+        worlds: The samples' worlds, (N,).
+        rng: Draws the flips.
+
+    Returns:
+        The two-sided p-value; 1 where none differs.
     """
     difference = np.subtract(first, second, dtype=float)
     held = np.isfinite(difference)
@@ -172,7 +184,12 @@ def cell(metric: Json) -> str:
 
 
 def brief(metric: Json, form: str = ".3f") -> str:
-    """A mean and its interval; a dash where nothing was measured."""
+    """Write a mean and its interval; a dash where nothing was measured.
+
+    Args:
+        metric: From `summarise`.
+        form: Format of the numbers.
+    """
     return f"{metric['mean']:{form}} {interval(metric, form)}" if metric["n"] else "–"
 
 
@@ -182,10 +199,20 @@ def threshold(metric: Json) -> str:
 
 
 def interval(metric: Json, form: str) -> str:
-    """[low, high], or a dash where one world gives none."""
+    """Write [low, high], or a dash where one world gives none.
+
+    Args:
+        metric: From `summarise`.
+        form: Format of the numbers.
+    """
     return "[–]" if metric["low"] is None else f"[{metric['low']:{form}}, {metric['high']:{form}}]"
 
 
 def with_std(mean: float, std: float | None = None) -> str:
-    """A mean with its standard deviation, where there is one."""
+    """Write a mean, with its standard deviation if there is one.
+
+    Args:
+        mean: The mean.
+        std: The standard deviation.
+    """
     return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

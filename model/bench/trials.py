@@ -36,14 +36,19 @@ def draw_trials(
     rng: np.random.Generator,
     bounds: ArrayLike | None = None,
 ) -> Trials:
-    """`count` goals, or as many as there are, drawn without replacement from the lattice's
-    outermost layer.
+    """Draw goals without replacement from the lattice's outermost layer.
 
-    The layer is ours; the paper has goals "near the map boundary". Nodes outside `bounds` (2, 3),
-    least and greatest corner in the map frame, metres, are left out, where these are given: the
-    world's, so that goals lie in it. A goal counts when A* finds a path to it in `occupancy_truth`
-    (*grid.shape); "cases where no feasible solution is found using the ground-truth map are
-    excluded" (the paper's section "Planning with Predicted Distance Fields"), and counted here.
+    The layer is ours; the paper has goals "near the map boundary". A goal counts when A* finds a
+    path to it in the truth; "cases where no feasible solution is found using the ground-truth map
+    are excluded" (the paper's section "Planning with Predicted Distance Fields"), and counted here.
+
+    Args:
+        occupancy_truth: True occupancy (*grid.shape).
+        grid: The grid.
+        config: The planner.
+        count: How many goals; fewer if there are not as many.
+        rng: Random numbers.
+        bounds: Corners of the world in the map frame, (2, 3), metres; goals lie between them.
     """
     truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
@@ -124,9 +129,20 @@ def run_trial(
     config: PlanConfig,
     risk: Field | None = None,
 ) -> Measurement:
-    """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
-    (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
-    "Planning with Predicted Distance Fields"; `plan_trial` says what `risk` is."""
+    """Plan on predicted maps, and judge in the truth.
+
+    The paper's section "Planning with Predicted Distance Fields".
+
+    Args:
+        occupied_pred: Predicted occupancy (*grid.shape).
+        tudf_pred: Predicted distances (*grid.shape), metres.
+        occupancy_truth: True occupancy (*grid.shape).
+        tudf_truth: True distances (*grid.shape), metres.
+        goal: Point of a lattice node (3,), map frame, metres.
+        grid: The grid.
+        config: The planner.
+        risk: See `plan_trial`.
+    """
     planned = plan_trial(occupied_pred, tudf_pred, risk, goal, grid, config)
     return judge(*planned, occupancy_truth, tudf_truth, grid)
 
@@ -139,15 +155,23 @@ def plan_trial(
     grid: GridSpec,
     config: PlanConfig,
 ) -> tuple[Plan, Floats | None]:
-    """What A* finds to `goal` (3,), a node's point, through voxels that are not `occupied`
-    (*grid.shape), and the path (n, 3) that is made of it by refinement on `tudf` (*grid.shape),
-    metres.
+    """Plan on predicted maps: A*, then refinement.
 
     The careful planner keeps to what it knows: A* asks that edges be free, too; the start's own
     voxel is, for a robot is there; and where the refined path meets an occupied voxel that A*'s
-    does not, A*'s stands. With the `risk` (*grid.shape) of meeting something, a probability, A*
-    weighs ways by it, and its path stands, too, where the refined one meets another voxel that is
-    rather occupied than not.
+    does not, A*'s stands. With a risk, A* weighs ways by it, and its path stands, too, where the
+    refined one meets another voxel that is rather occupied than not.
+
+    Args:
+        occupied: Collision map (*grid.shape).
+        tudf: Distances for the refinement (*grid.shape), metres.
+        risk: Probability of meeting something in each voxel (*grid.shape), or None.
+        goal: Point of a lattice node (3,), map frame, metres.
+        grid: The grid.
+        config: The planner.
+
+    Returns:
+        The plan of A*, and the refined path (n, 3), map frame, metres; None without a path.
     """
     plan = plan_path(occupied, goal, grid, config, risk)
     if plan.waypoints is None:
@@ -168,9 +192,18 @@ def judge(
     tudf_truth: Field,
     grid: GridSpec,
 ) -> Measurement:
-    """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
-    `run_trial`. Raises ValueError where the path leaves the map, of which the truth says
-    nothing beyond."""
+    """Judge a path in the truth, see `run_trial`.
+
+    Args:
+        plan: From `plan_path`.
+        refined: The path (n, 3) that was made of it, map frame, metres.
+        occupancy_truth: True occupancy (*grid.shape).
+        tudf_truth: True distances (*grid.shape), metres.
+        grid: The grid.
+
+    Raises:
+        ValueError: The path leaves the map, beyond which there is no truth.
+    """
     initial, reason = plan
     if initial is None or refined is None:
         return Measurement(success=False, cause=reason)
@@ -201,8 +234,16 @@ def judge(
 def line_blocked(
     occupancy_truth: Mask, goal: ArrayLike, grid: GridSpec, config: PlanConfig
 ) -> bool:
-    """Whether the straight line from the start to `goal` (3,), map frame, metres, meets an occupied
-    voxel of the truth (*grid.shape), by the rule of `Measurement.success`."""
+    """Whether the straight line from the start to a goal meets an occupied voxel of the truth.
+
+    The rule is that of `Measurement.success`.
+
+    Args:
+        occupancy_truth: True occupancy (*grid.shape).
+        goal: (3,), map frame, metres.
+        grid: The grid.
+        config: The planner.
+    """
     lattice = Lattice(grid, config.step_voxels)
     line = np.stack([lattice.centres(lattice.start), np.asarray(goal, float)])
     return bool(occupancy_truth.reshape(-1)[met(line, grid)].any())
@@ -222,27 +263,49 @@ def stations(path: Floats) -> tuple[Floats, Floats]:
 
 
 def voxels_of(points: Floats, grid: GridSpec) -> Ints:
-    """The voxels (m,) that hold points (m, 3) of the map, counted in C order. The map's last faces
-    belong to its last voxels."""
+    """Find the voxels that hold points. The map's last faces belong to its last voxels.
+
+    Args:
+        points: (m, 3), map frame, metres.
+        grid: The grid.
+
+    Returns:
+        (m,): numbers in C order.
+    """
     index = np.floor(points / grid.voxel_m).astype(np.int64)
     return np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip")
 
 
 def met(path: Floats, grid: GridSpec) -> Ints:
-    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
-    judged."""
+    """Find the voxels in which a path is judged.
+
+    Args:
+        path: (n, 3), map frame, metres.
+        grid: The grid.
+
+    Returns:
+        Numbers in C order, each once.
+    """
     return np.unique(voxels_of(stations(path)[0], grid))
 
 
 def risk_of(
-    said: Prediction,
+    prediction: Prediction,
     occupied: Mask,
     seen: Mask,
     config: PlanConfig,
 ) -> Field:
-    """The risk of meeting something in every voxel (*grid.shape), a probability: 1 where it is held
-    `occupied`, else what is `said`, and no less than `config.unseen_risk` where it was not
-    `seen`."""
-    chance = said.occupancy_probability
+    """Compute the risk of meeting something in every voxel.
+
+    Args:
+        prediction: The prediction.
+        occupied: Voxels that count as occupied (*grid.shape); their risk is 1.
+        seen: Voxels that a ray reached (*grid.shape); others have at least `config.unseen_risk`.
+        config: The planner.
+
+    Returns:
+        (*grid.shape): a probability.
+    """
+    chance = prediction.occupancy_probability
     risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
     return np.where(seen, risk, np.maximum(risk, np.float32(config.unseen_risk)))

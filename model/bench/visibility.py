@@ -38,8 +38,17 @@ def walled(
     known: Mask | None,
     grid: GridSpec,
 ) -> tuple[Mask, Field]:
-    """A collision map and a field (*grid.shape each) for plans that keep to `known` space: what is
-    not known is as solid as what is occupied."""
+    """Close a map for plans that keep to known space: unknown voxels are as solid as occupied ones.
+
+    Args:
+        occupied: Collision map (*grid.shape).
+        distance: Distances (*grid.shape), metres.
+        known: Known voxels (*grid.shape); None: all.
+        grid: The grid.
+
+    Returns:
+        The collision map and the distances, closed.
+    """
     if known is None:
         return occupied, distance
     return occupied | ~known, np.minimum(distance, distance_field(~known, grid))
@@ -52,9 +61,17 @@ def classify(
     scored: Mask | None = None,
     lidar: Sensor | None = None,
 ) -> NDArray[np.uint8]:
-    """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`; `UNSCORED`
-    in those that are not `scored`, where these are given. `lidar` is the sensor of a sample that
-    does not know its own."""
+    """Classify every voxel of a sample by how it was seen.
+
+    Args:
+        sample: The sample.
+        grid: Its grid.
+        scored: Voxels that count (*grid.shape); None: all.
+        lidar: The sensor of a sample that does not know its own.
+
+    Returns:
+        (*grid.shape): an index into `CLASSES`, or `UNSCORED` where a voxel does not count.
+    """
     in_view = within_view(sample, grid, lidar)
     classes = np.where(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
@@ -121,12 +138,20 @@ class Seen:
 
 @lru_cache(maxsize=1)  # every method on a sample asks for the same
 def seen_occupancy(sample: Sample, split: Split) -> Mask:
-    """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
-    one of the sample's rays, wherever it did so.
+    """Rasterize the obstacles that returned at least one of a sample's rays, anywhere.
 
-    Which geom a ray met is found by casting anew in the archived world: a dataset stores ranges
-    alone. Rays without a stored return count as none. Raises DatasetError where the world cannot be
-    compiled.
+    An obstacle is a geom of the world. A dataset stores ranges only, so the rays are cast anew in
+    the archived world to find the geoms that they met. Rays without a stored return count as none.
+
+    Args:
+        sample: The sample.
+        split: Its split.
+
+    Returns:
+        (*grid.shape): voxels that touch such an obstacle.
+
+    Raises:
+        DatasetError: The world cannot be compiled.
     """
     dataset = split.dataset
     solids, engine = _world(dataset, split.name, int(sample.world))
@@ -139,7 +164,12 @@ def seen_occupancy(sample: Sample, split: Split) -> Mask:
 
 
 def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
-    """Those of `solids` whose numbers are among `geoms` (k,)."""
+    """Select solids by their geoms.
+
+    Args:
+        solids: The solids.
+        geoms: Numbers of the geoms to keep, (k,).
+    """
     chosen = np.isin(solids.geom, geoms)
     plain, meshes = np.split(chosen, [len(solids.shape)])
     sizes = np.diff(solids.mesh_start)
@@ -165,7 +195,16 @@ def _world(dataset: AnyDataset, split: str, number: int) -> tuple[Solids, Analyt
 
 
 def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
-    """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
+    """Find the voxels that a sample's rays would cross if nothing returned.
+
+    Args:
+        sample: The sample.
+        grid: Its grid.
+        sensor: The sensor of a sample that does not know its own.
+
+    Returns:
+        (*grid.shape).
+    """
     endless = [
         Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
         for scan in sample.scans(sensor)

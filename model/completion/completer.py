@@ -7,7 +7,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -32,7 +32,7 @@ from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import BINARY, PointScan, channels
+from scenegen.model.inputs import BINARY, PointScan, SeenMap, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.model.targets import BUILT_IN, Target, targets_of
@@ -71,6 +71,8 @@ class Completer:
     """Name, device and batch, by which `opened_once` has it in other processes."""
     targets: Mapping[str, Target]
     """What it predicts, by `target_name`."""
+    draws: bool = False
+    """Whether its answers are drawn: a network of one's own that says ``draws = True``."""
     learned = True
 
     def __post_init__(self) -> None:
@@ -88,24 +90,32 @@ class Completer:
         batch: int = 8,
         threads: int = 0,
     ) -> "Completer":
-        """The network called `name`: one that comes with scenegen (`scenegen.model.config.bundled`
-        lists them), a .safetensors file, a run's folder, an .onnx file, which runs on the CPU, or
-        ``hf://user/name[@revision]``, which alone is fetched. One that is made of code of one's own
-        is given as "my_net:Net@runs/mine": its module is then imported, and never because a file
-        says so.
+        """Open a network.
 
-        At most `batch` maps are completed at once, on `threads` threads of the processor, 0 for
-        all. Raises CheckpointError where there is none, or it is damaged, and for a device that is
-        not here.
+        Code of a user's own is imported only if the name grants it, as in "my_net:Net@runs/mine",
+        and never because a file says so.
+
+        Args:
+            name: A bundled network (`scenegen.model.config.bundled` lists them), a .safetensors
+                file, a run's folder, an .onnx file, which runs on the CPU, or
+                ``hf://user/name[@revision]``; only the last is downloaded.
+            device: The device.
+            batch: How many maps are completed at once, at most.
+            threads: Threads of the processor; 0: all.
+
+        Raises:
+            CheckpointError: There is no such network, it is damaged, or there is no such device.
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
             run, file = load_onnx(path, threads=threads, trusted=own)
             grid, about, inputs = file.grid, file.metadata, file.config.inputs
+            draws = False
             targets = {**BUILT_IN, **targets_of(file.config.targets)}
         else:
             network, grid, about = load_network(path, own)
             inputs, targets = network.config.inputs, network.targets
+            draws = bool(getattr(network, "draws", False))
             unfit = RuntimeError, AssertionError
             with reraise_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
                 placed(network, device)
@@ -126,6 +136,7 @@ class Completer:
             threads=threads,
             opened=(str(name), str(device), batch),
             targets=targets,
+            draws=draws,
         )
 
     def __repr__(self) -> str:
@@ -136,25 +147,35 @@ class Completer:
         maps: Sample | Maps | Mapping[str, Maps],
         *,
         sensor: ArrayLike = (0.0, 0.0, 0.0),
+        rng: np.random.Generator | None = None,
     ) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the points of
-        a scan, (N, 3), metres, in a level frame in which the `sensor` (3,) is the centre of the
-        map, NaN or inf where nothing returned; or, for a network that takes no more, the observed
-        voxels. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back
-        is float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
-        distances are metres, at most the truncation; what the network's variant does not predict is
-        None. Raises ValueError where an input is missing, for another grid, for values that an
-        input cannot hold, and where no point is in the map; PredictionError where the network says
-        NaN, or what is no probability or distance.
+        Args:
+            maps: A dataset's sample; or a named batch of the network's `inputs`; or the points of a
+                scan, (N, 3), metres, in a level frame, NaN or inf where nothing returned; or, for a
+                network that takes no more, the observed voxels. Numpy or torch, numbers 0 and 1 or
+                bool where an input is binary.
+            sensor: Position (3,) of the sensor of a scan, the centre of the map, metres.
+            rng: Random numbers of a network that draws; by default, those of seed 0.
+
+        Returns:
+            float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
+            distances are metres, at most the truncation; None for what the network does not
+            predict.
+
+        Raises:
+            ValueError: An input is missing, of another grid, or holds values that it cannot; or no
+                point is in the map.
+            PredictionError: The network gives NaN, or what is no probability or distance.
         """
         inputs: Any = maps
+        rng = rng or np.random.default_rng(0)
         names = "observed", *self.inputs
         with on_threads(self.threads):
             if getattr(inputs, "ndim", 0) == 2:
                 inputs = self.scan_of(inputs, sensor)
-            if isinstance(inputs, Sample | PointScan):
+            if isinstance(inputs, Sample | PointScan | SeenMap):
                 lidar = getattr(inputs, "lidar", None)  # of points nobody knows it
                 inputs = channels(names, inputs, self.grid, lidar)
             batch = inputs if isinstance(inputs, Mapping) else {"observed": inputs}
@@ -173,7 +194,7 @@ class Completer:
                 for values in tensors.values()
             ]
             parts = [
-                self._complete(dict(zip(tensors, part, strict=True)))
+                self._complete(dict(zip(tensors, part, strict=True)), rng)
                 for part in zip(*split, strict=True)
             ]
             first = batch[self.inputs[0]]
@@ -187,7 +208,7 @@ class Completer:
                 )
             seen = tensors.get("observed")
             prediction = Prediction.of(arrays, calibration=self.calibration, observed=seen)
-            return check_prediction(prediction, shape, self.name)
+            return check_prediction(prediction, shape, self.name, self.targets)
 
     @cached_property
     def digest(self) -> str:
@@ -197,24 +218,57 @@ class Completer:
     def __reduce__(self) -> Any:
         return opened_once, self.opened
 
-    def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `scenegen.model.bench.methods.Method`. Raises DatasetError for another grid.
+    def completion(
+        self, sample: Sample, split: Split, rng: np.random.Generator | None = None
+    ) -> Prediction:
+        """See `scenegen.model.bench.methods.Method`.
 
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+            rng: See `__call__`.
+
+        Raises:
+            DatasetError: The grid differs.
         """
         with reraise_as(DatasetError), on_threads(1):
             self.check_grid(split.dataset.grid)
-            return self(sample)
+            return self(sample, rng=rng)
 
-    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network
-        takes other inputs."""
+    def complete(
+        self,
+        observed: Mask,
+        free: Mask,
+        *,
+        grid: GridSpec,
+        seen: SeenMap | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Prediction:
+        """See `MapCompleter.complete`.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+            seen: The same map with its place, from which all inputs are computed.
+            rng: See `__call__`.
+
+        Raises:
+            ValueError: The grid differs, or the network takes inputs that only `seen` gives.
+        """
         self.check_grid(grid)
-        return self({"observed": observed, "free": free})
+        maps: Any = {"observed": observed, "free": free} if seen is None else seen
+        return self(maps, rng=rng)
 
     def check_grid(self, grid: GridSpec) -> None:
-        """Raise ValueError unless the network completes maps on `grid`."""
+        """Check that the network completes maps on a grid.
+
+        Raises:
+            ValueError: It does not.
+        """
         if grid != self.grid:
             raise ValueError(
                 f"the maps are on {grid}, {self.name} completes maps on {self.grid}; train a "
@@ -229,8 +283,15 @@ class Completer:
         )
 
     def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
-        """The scan of points (N, 3), metres, seen from `sensor` (3,), less those that are no
-        returns, see `are_returns`. Raises ValueError where none is in the map."""
+        """Make a scan of points; those that are no returns, see `are_returns`, are dropped.
+
+        Args:
+            points: (N, 3), metres.
+            sensor: Position (3,), metres.
+
+        Raises:
+            ValueError: The points have another shape, or none is in the map.
+        """
         rows = np.asarray(points, float)
         if rows.shape[1:] != (3,):
             raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
@@ -275,8 +336,12 @@ class Completer:
         return tensor
 
     @torch.inference_mode()
-    def _complete(self, maps: Batch) -> dict[str, Tensor]:
-        return self.forward(maps).predictions(self.targets, self.grid)
+    def _complete(self, maps: Batch, rng: np.random.Generator) -> dict[str, Tensor]:
+        # so that the caller's own random numbers stay as they were
+        with torch.random.fork_rng() if self.draws else nullcontext():
+            if self.draws:
+                torch.manual_seed(int(rng.integers(2**63)))
+            return self.forward(maps).predictions(self.targets, self.grid)
 
 
 @contextmanager
@@ -292,27 +357,41 @@ def on_threads(count: int) -> Iterator[None]:
 
 @cache
 def opened_once(name: str, device: str, batch: int) -> Completer:
-    """A network for a task of many, on one thread of a processor: each process opens it once, and
-    by itself."""
+    """Open a network for a task of many, on one thread. Each process opens it once, and by itself.
+
+    Args:
+        name: See `Completer.from_pretrained`.
+        device: The device.
+        batch: How many maps are completed at once, at most.
+    """
     with on_threads(1):
         return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
 def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> str:
-    """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by
-    `mapping`, differ from those that the network called `name` learned from, as `about` tells, in
-    one line; "" where they do not.
+    """Describe how sensing differs from that which a network learned from.
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
-    """
-    here, usual = sensor_entry(lidar), mapping_entry(Mapper())
 
-    def told(way: Json) -> tuple[int, str]:
+    Args:
+        name: The network's name.
+        about: Its origin, see `Completer.about`.
+        lidar: The sensor.
+        mapping: How maps are made.
+        noise: Stages of noise as a manifest spells them.
+
+    Returns:
+        One line; "" if nothing differs.
+    """
+    current, usual = sensor_entry(lidar), mapping_entry(Mapper())
+
+    def describe(way: Json) -> tuple[int, str]:
         """How far they are from one way of those that the network learned from, and why."""
-        there, noises = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
-        sensor, faults = differences(there, here, TRAINING), []
-        if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
-            sensor = [f"sensor is {_titled(there)} in training, {_titled(here)} here"]
+        learned_from, noises = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
+        sensor, faults = differences(learned_from, current, TRAINING), []
+        # tables of rays have nothing else
+        if sensor and ("sensor" in learned_from or "sensor" in current):
+            sensor = [f"sensor is {_titled(learned_from)} in training, {_titled(current)} here"]
         if noise not in noises:
             learned = " or ".join(stages or "none" for stages in noises)
             faults = [f"noise is {learned} in training, {noise or 'none'} here"]
@@ -321,19 +400,19 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
         )
         # a sensor that differs says more than noise, and that more than maps
         if sensor:
-            distance, what = 3, "another sensor"
+            distance, kind = 3, "another sensor"
         elif faults:
-            distance, what = 2, "other noise"
+            distance, kind = 2, "other noise"
         elif maps:
-            distance, what = 1, "maps made otherwise"
+            distance, kind = 1, "maps made otherwise"
         else:
             return 0, ""
         line = "; ".join(sensor + faults + maps)[:MAX_DIFFERENCE]
-        line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
+        line = f"{name} was trained on {kind}, so expect worse completions: {printable(line)}"
         return distance, line
 
     # sensors and maps of several ways, each with its noise; the nearest is told
-    return min(map(told, (about, *about.get("also", ()))))[1]
+    return min(map(describe, (about, *about.get("also", ()))))[1]
 
 
 def _titled(entry: Json) -> str:
@@ -343,8 +422,12 @@ def _titled(entry: Json) -> str:
 
 
 def called(name: str | Path, path: Path) -> str:
-    """What the network `name`, found at `path`, is called in tables: by its file, its run, or its
-    repository."""
+    """Name a network in tables: by its file, its run, or its repository.
+
+    Args:
+        name: The network as the user names it.
+        path: Where it was found.
+    """
     if (name := split_own(name)[1]).startswith(HUB):
         return name.removeprefix(HUB).partition("@")[0].rpartition("/")[2]
     return real_path(path).parent.name if path.name in NAMES_IN_FOLDER else path.stem
@@ -356,10 +439,12 @@ def open_network(name: str | Path) -> tuple[Any, GridSpec, Json]:
 
 
 def locate(name: str | Path) -> Path:
-    """The file of the network called `name`; see `Completer.from_pretrained`.
+    """Find the file of a network, see `Completer.from_pretrained`.
 
-    Raises CheckpointError where there is none. Only names that begin with ``hf://`` reach for the
-    network.
+    Only names that begin with ``hf://`` use the internet.
+
+    Raises:
+        CheckpointError: There is none.
     """
     name = split_own(name)[1]
     if name.startswith(HUB):

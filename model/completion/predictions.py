@@ -13,6 +13,7 @@ from scenegen.base.files import claim, make_parent
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.dataset.schema import stem_of
+from scenegen.draw.sample import rng_of
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.stored import (
     DIGEST,
@@ -55,51 +56,60 @@ def predict_split(
     on_start: Counted = unheard,
     on_done: Counted = unheard,
 ) -> SplitReport:
-    """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
-    `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there,
-    as they were written, are kept, so that a run goes on where another one ended.
+    """Complete every sample of a split into a folder of predictions.
 
-    This process does it; or `execute` has it done, on one thread a process. `on_start` is called
-    with the number of samples once the work has begun, `on_done` with how many more are written.
-    Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
-    something else already.
+    The files are named as shards are, and hold `PART` samples each. They are written whole or not
+    at all. Those that exist as they were written are kept, so a stopped run continues.
+
+    Args:
+        completer: The network.
+        dataset: The dataset.
+        split: Name of the split.
+        out: The folder.
+        execute: Does the work, on one thread a process; None: this process does.
+        on_start: Called with the number of samples once the work has begun.
+        on_done: Called with the number of samples of each part that is written.
+
+    Raises:
+        DatasetError: The grid differs, the split is empty, the disk refuses, or `out` is something
+            else already.
     """
     with reraise_as(DatasetError, f"{dataset.name}: "):
         completer.check_grid(dataset.grid)
     samples = dataset.split(split)
     if not (count := len(samples)):
         raise DatasetError(f"{dataset.name}: {empty_split(split)}, or give another --split")
-    about = {
+    facts = {
         "dataset": dataset.digest,
         "split": split,
         "method": completer.name,
         "weights": completer.digest,
     }
-    existing = claim(out, PREDICTIONS, {**about, "samples": PART})
+    existing = claim(out, PREDICTIONS, {**facts, "samples": PART})
     parts = [
         (f"{stem_of(split, number)}.h5", numbers)
         for number, numbers in enumerate(chunked(range(count), PART))
     ]
     # a runtime's threads do not outlive a fork: each process opens the network by itself
-    asked = completer if execute is None else completer.opened
+    network = completer if execute is None else completer.opened
     execute = execute or ALONE
     tasks, damaged = list[Part](), list[str]()
     for part in execute.mine(parts):
         if part[0] in existing:
-            if _is_intact(out, samples, about, part):
+            if _is_intact(out, samples, facts, part):
                 continue
             damaged.append(part[0])
         tasks.append(part)
-    work, total = partial(_write, asked, samples, about, out), sum(len(n) for _, n in tasks)
+    work, total = partial(_write, network, samples, facts, out), sum(len(n) for _, n in tasks)
     results = counted(execute, work, tasks, total=total, on_start=on_start, on_done=on_done)
     return SplitReport([far for some in results for far in some if far is not None], damaged)
 
 
-def _is_intact(out: Path, samples: Split, about: Mapping[str, str], part: Part) -> bool:
+def _is_intact(out: Path, samples: Split, facts: Mapping[str, str], part: Part) -> bool:
     """Whether a file that is there holds what was written of these samples."""
     name, numbers = part
     shape = samples.dataset.grid.shape
-    check = partial(check_file, about=about, most=len(numbers), shape=shape, sealed=True)
+    check = partial(check_file, facts=facts, max_samples=len(numbers), shape=shape, sealed=True)
     try:
         pairs = read_guarded(check, out / name, 1 << 62)
     except DatasetError:
@@ -108,15 +118,15 @@ def _is_intact(out: Path, samples: Split, about: Mapping[str, str], part: Part) 
 
 
 def _write(
-    asked: Completer | tuple[str, str, int],
+    network: Completer | tuple[str, str, int],
     samples: Split,
-    about: Mapping[str, str],
+    facts: Mapping[str, str],
     out: Path,
     part: Part,
 ) -> list[float | None]:
     """Write the predictions of some samples into a file of the folder `out`, whole or not, by the
     network that is given, or is opened now. How far from home each is; None where nobody knows."""
-    completer = opened_once(*asked) if isinstance(asked, tuple) else asked
+    completer = opened_once(*network) if isinstance(network, tuple) else network
     (file_name, numbers), grid = part, samples.dataset.grid
     names = "observed", *completer.inputs
     pairs, digests = list[tuple[int, int]](), list[bytes]()
@@ -127,7 +137,8 @@ def _write(
             batch = [samples[number] for number in numbers[first : first + completer.batch]]
             inputs = [channels(names, sample, grid, sample.lidar) for sample in batch]
             prediction = completer(
-                {name: np.stack([maps[name] for maps in inputs]) for name in names}
+                {name: np.stack([maps[name] for maps in inputs]) for name in names},
+                rng=rng_of(0, numbers[first]),
             )
             predicted = prediction.arrays()
             for n, sample in enumerate(batch):
@@ -142,6 +153,6 @@ def _write(
         columns[SAMPLES] = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 32)
         for name, values in columns.items():
             file[name] = values
-        about = {**about, **about_others(prediction)}
-        file.attrs.update({**about, DIGEST: digest_of(about, columns).hex()})
+        facts = {**facts, **about_others(prediction)}
+        file.attrs.update({**facts, DIGEST: digest_of(facts, columns).hex()})
     return away

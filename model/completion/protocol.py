@@ -6,6 +6,7 @@ as the paper does for its single-task networks: distances by the transform of th
 occupancy, occupancy by a threshold on the distance.
 """
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -18,6 +19,7 @@ from scenegen.base.errors import ScenegenError
 from scenegen.draw.sample import html_table
 from scenegen.model.calibration import Calibration, StoredProbability, away_of, denial
 from scenegen.model.config import Thresholds
+from scenegen.model.inputs import SeenMap
 from scenegen.model.targets import BUILT_IN, Target
 from scenegen.truth import distance_field
 
@@ -49,24 +51,26 @@ class Prediction:
         return f"<Prediction: {names} {tuple(getattr(self, parts[0]).shape)}>"
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Any], **more: Any) -> "Prediction":
+    def of(cls, arrays: Mapping[str, Any], **fields: Any) -> "Prediction":
         """From its arrays by name: `PARTS`, and others."""
         parts = {name: arrays[name] for name in PARTS if name in arrays}
         others = {name: values for name, values in arrays.items() if name not in PARTS}
-        return cls(**parts, **more, others=others)
+        return cls(**parts, **fields, others=others)
 
     def arrays(self) -> dict[str, Any]:
         """What a file keeps of it, by name: those of `STORED` that it has as float32, and
         others."""
         stored = {name: plain(getattr(self, name)) for name in STORED}
-        kept = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
-        return kept | {name: plain(values) for name, values in self.others.items()}
+        arrays = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
+        return arrays | {name: plain(values) for name, values in self.others.items()}
 
     def _repr_html_(self) -> str:
         """For notebooks: what each part is, its least, mean and greatest number."""
         rows: list[tuple[str, ...]] = [("", "", "least", "mean", "greatest")]
-        for name, target in PARTS.items():
-            if (values := plain(getattr(self, name))) is not None:
+        parts = {name: getattr(self, name) for name in PARTS} | dict(self.others)
+        for name, part in parts.items():
+            target = PARTS.get(name, Target)
+            if (values := plain(part)) is not None:
                 figures = (values.min(), values.mean(), values.max())
                 rows.append((name, target.meaning, *(f"{figure:.3g}" for figure in figures)))
         return html_table(rows, self)
@@ -82,7 +86,16 @@ class Prediction:
         return self.tudf < np.float32(thresholds.distance_m)
 
     def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:
-        """The distance field, (*shape), metres, at most the truncation."""
+        """Return the distance field.
+
+        Args:
+            thresholds: Thresholds of occupancy, whose transform replaces missing distances; None:
+                the paper's.
+            grid: The grid.
+
+        Returns:
+            (*shape): metres, at most the truncation.
+        """
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
         return distance_field(self.occupied(thresholds), grid)
@@ -132,30 +145,47 @@ STORED = *PARTS, "probability"
 """Arrays that a file of predictions may hold."""
 
 
-def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction:
-    """`found`, if it is a `Prediction` whose parts are numpy or torch arrays of `shape` that hold
-    what they should.
+def check_prediction(
+    answer: Any,
+    shape: tuple[int, ...],
+    who: str,
+    targets: Mapping[str, Target | type[Target]] = BUILT_IN,
+) -> Prediction:
+    """Check that a method gave a prediction.
 
     Every number is finite, probabilities lie in [0, 1], and no distance is negative; distances
-    beyond the truncation are allowed. Others may have channels before x. Raises PredictionError,
-    naming `who` predicts, for anything else.
+    beyond the truncation are allowed.
+
+    Args:
+        answer: What the method gave.
+        shape: Shape of its numpy or torch arrays; those of other targets may have channels before
+            x.
+        who: The method's name, for errors.
+        targets: Targets by name, whose bounds predictions keep.
+
+    Returns:
+        `answer`.
+
+    Raises:
+        PredictionError: It is not a `Prediction`, or holds what it should not.
     """
-    if not isinstance(found, Prediction):
+    if not isinstance(answer, Prediction):
         raise PredictionError(
-            f"{who}: gives {type(found).__name__}, expected a "
+            f"{who}: gives {type(answer).__name__}, expected a "
             f"scenegen.model.completion.protocol.Prediction"
         )
-    parts = {name: getattr(found, name) for name in PARTS} | dict(found.others)
-    if isinstance(found.calibration, StoredProbability):  # one computed here needs no check
-        parts["probability"] = found.calibration.probability
+    parts = {name: getattr(answer, name) for name in PARTS} | dict(answer.others)
+    if isinstance(answer.calibration, StoredProbability):  # one computed here needs no check
+        parts["probability"] = answer.calibration.probability
     for name, values in parts.items():
         if values is None:
             continue
         target = BUILT_IN["occupancy"] if name == "probability" else PARTS.get(name, Target)
-        given = tuple(getattr(values, "shape", ()))
-        if name in found.others and len(given) == len(shape) + 1:  # which has channels
-            given = (*given[:-4], *given[-3:])
-        if given != tuple(shape):
+        target = targets.get(name, target)
+        array_shape = tuple(getattr(values, "shape", ()))
+        if name in answer.others and len(array_shape) == len(shape) + 1:  # which has channels
+            array_shape = (*array_shape[:-4], *array_shape[-3:])
+        if array_shape != tuple(shape):
             held = (
                 f"an array of shape {tuple(values.shape)}"
                 if hasattr(values, "shape")
@@ -175,18 +205,57 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
             raise PredictionError(
                 f"{who}: {name} holds {held}, expected {target.meaning} in every voxel"
             )
-    return found
+    return answer
 
 
 class MapCompleter(Protocol):
-    """Anything that completes a map. A method of your own is a class with these two."""
+    """Anything that completes a map. A method of your own is a class with these two.
+
+    Its `complete` may have two arguments more, which are given only to those that name them:
+    ``seen``, a `SeenMap`, which also says where the map and the sensor are; and ``rng``, a NumPy
+    Generator, of a method that draws its answers. A method that remembers has a method ``reset()``,
+    too: a flight begins, or a map that has nothing to do with the last one.
+    """
 
     name: str
     """How the method is called in tables."""
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """Complete one map from its observed and free voxels, (*grid.shape) each."""
+        """Complete one map.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+        """
         ...
+
+
+def extras_of(completer: Any) -> set[str]:
+    """Return which of ``seen`` and ``rng`` the `complete` of a method takes."""
+    return {"seen", "rng"} & inspect.signature(completer.complete).parameters.keys()
+
+
+def complete_seen(
+    completer: Any, seen: SeenMap, *, grid: GridSpec, rng: np.random.Generator | None = None
+) -> Prediction:
+    """Let a method complete a map.
+
+    Args:
+        completer: A `MapCompleter`.
+        seen: The map.
+        grid: Its grid.
+        rng: Random numbers of a method that draws; by default, those of seed 0.
+    """
+    extras = {"seen": seen, "rng": rng or np.random.default_rng(0)}
+    chosen = {name: extras[name] for name in extras_of(completer)}
+    return completer.complete(seen.observed, seen.free, grid=grid, **chosen)
+
+
+def forget(completer: Any) -> None:
+    """Let a method that remembers begin anew."""
+    if (reset := getattr(completer, "reset", None)) is not None:
+        reset()
 
 
 UPRIGHT = np.zeros((3, 3, 3), bool)

@@ -119,7 +119,15 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
 
 
 def scans_of_log(log: Log, every: int) -> Iterator[Task]:
-    """Every so many scans of a log, in the frame of its poses."""
+    """List scans of a log, in the frame of its poses.
+
+    Args:
+        log: The log.
+        every: Take one in so many scans.
+
+    Yields:
+        A task for each scan.
+    """
 
     def read(name: str, scan: LogScan) -> Scan:
         position = scan.pose.position
@@ -141,13 +149,20 @@ def predict_scan(
     name: str = "",
     thresholds: Thresholds | None = None,
 ) -> ScanReport:
-    """Complete one scan, which `out` then calls `name`, by default as it is called.
+    """Complete one scan, and write the result.
 
-    `out` is HDF5 (``.h5``: the network's inputs, what is predicted, the truth if there is one, and
-    the grid) or a point cloud (``.ply``: the centres of the voxels that are occupied at
-    `thresholds`, by default the paper's, in the scan's frame).
-    Raises DatasetError for a scan with no point in the map, another name, and where `out` is
-    something else already.
+    Args:
+        completer: The network.
+        scan: The scan.
+        out: A .h5 file, which gets the network's inputs, the prediction, the truth if there is one,
+            and the grid; or a .ply file, which gets the centres of occupied voxels in the scan's
+            frame.
+        name: What the file calls the scan; by default its name.
+        thresholds: Thresholds of the .ply file; by default the paper's.
+
+    Raises:
+        DatasetError: No point is in the map, the name has another ending, or `out` is something
+            else already.
     """
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
@@ -162,9 +177,9 @@ def predict_scan(
     if out.suffix == ".ply":
         write_atomic(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
-        about = about_scan(completer, name or scan.name)
-        about |= {"origin": seen.origin, "voxel": seen.grid.voxel_m} | about_others(prediction)
-        _write(out, about, maps | prediction.arrays() | truth)
+        facts = about_scan(completer, name or scan.name)
+        facts |= {"origin": seen.origin, "voxel": seen.grid.voxel_m} | about_others(prediction)
+        _write(out, facts, maps | prediction.arrays() | truth)
     return ScanReport(
         points=len(scan.points),
         layout=scan.layout,
@@ -184,30 +199,40 @@ def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
 
 
 def about_scan(completer: Completer, name: str) -> dict[str, Any]:
-    """What a file says of the scan called `name` that it completes."""
+    """Return the attributes of a completion's file.
+
+    Args:
+        completer: The network.
+        name: Name of the scan.
+    """
     return {"method": completer.name, "weights": completer.digest, "scan": name}
 
 
-def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
+def _write(out: Path, facts: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
     """Write a completion: maps by name."""
     with new_hdf5(out) as file:
         for name, values in maps.items():
             write_map(file, name, values)
-        file.attrs.update({**about, DIGEST: digest_of(about, maps).hex()})
+        file.attrs.update({**facts, DIGEST: digest_of(facts, maps).hex()})
 
 
-def is_intact(path: Path, about: Mapping[str, str]) -> bool:
-    """Whether a file holds what was written of the scan that it is `about`."""
+def is_intact(path: Path, facts: Mapping[str, str]) -> bool:
+    """Whether a file holds what was written of a scan.
+
+    Args:
+        path: The file.
+        facts: From `about_scan`.
+    """
     try:
-        return read_guarded(partial(_check, about=about), path, MAX_SCAN_BYTES)
+        return read_guarded(partial(_check, facts=facts), path, MAX_SCAN_BYTES)
     except DatasetError:
         return False
 
 
-def _check(path: Path, *, about: Mapping[str, str]) -> bool:
+def _check(path: Path, *, facts: Mapping[str, str]) -> bool:
     with h5py.File(path, "r") as file:
         check_digest(file, list(file))
-        return all(file.attrs.get(name) == value for name, value in about.items())
+        return all(file.attrs.get(name) == value for name, value in facts.items())
 
 
 def height_above_returns(points: Floats) -> float | None:
@@ -290,7 +315,12 @@ def read_line(reports: Sequence[ScanReport]) -> str:
 
 
 def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
-    """Lines for people on scans that were completed."""
+    """Summarise completed scans in lines.
+
+    Args:
+        completer: The network.
+        reports: A report of each scan.
+    """
     points, without, inside = (
         sum(getattr(scan, name) for scan in reports) for name in ("points", "without", "inside")
     )
@@ -319,30 +349,42 @@ def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
 
 
 def tasks_of(
-    found: Path,
+    path: Path,
     sensor: ArrayLike,
     every: int,
     columns: int | None,
     **reading: Any,
 ) -> tuple[int, Iterable[Task], str]:
-    """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
-    to be completed, these, and a line on how the log was read. Raises DatasetError for a folder
-    without scans."""
-    if reading["poses"] is not None or is_log(found):
-        log = read_log(found, columns=columns, **reading)
+    """List the scans of a log or a folder that are to be completed.
+
+    Args:
+        path: The log or folder.
+        sensor: Position of the sensor in files of points, (3,), metres.
+        every: Take one in so many scans.
+        columns: See `read_cloud`.
+        reading: Arguments of `read_log`.
+
+    Returns:
+        The number of scans, a task for each, and a line on how the log was read.
+
+    Raises:
+        DatasetError: A folder holds no scans.
+    """
+    if reading["poses"] is not None or is_log(path):
+        log = read_log(path, columns=columns, **reading)
         return len(range(0, len(log.poses), every)), scans_of_log(log, every), log.line()
-    observations = found / "observations"  # what `ingest` keeps beside its maps
-    scans = scans_in(observations if observations.is_dir() else found)[::every]
+    observations = path / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(observations if observations.is_dir() else path)[::every]
     if not scans:
         raise DatasetError(
-            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected "
+            f"{path}: holds neither a dataset (no dataset.json) nor scans; expected "
             f"{', '.join(READERS)} files"
         )
-    names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
+    names = [str(scan.relative_to(path).with_suffix("")) for scan in scans]
     if len(set(names)) < len(names):
         twice = max(names, key=names.count)
         raise DatasetError(
-            f"{found}: holds several scans called {twice}, which would all be completed into "
+            f"{path}: holds several scans called {twice}, which would all be completed into "
             f"{twice}.h5; rename them"
         )
     readers = (partial(read_scan, scan, sensor, columns) for scan in scans)

@@ -94,8 +94,15 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def write_map(file: h5py.File, name: str, values: Any, *, row: int = 0, count: int = 0) -> None:
-    """Write a map (X, Y, Z), or (channels, X, Y, Z), as one chunk: as an array of its own, or as a
-    row of one for `count` maps."""
+    """Write a map as one chunk.
+
+    Args:
+        file: The file.
+        name: Name of the array.
+        values: (X, Y, Z), or (channels, X, Y, Z).
+        row: Row of the map in its array.
+        count: Number of rows; 0: the map is an array of its own.
+    """
     if name not in file:
         shape = (count, *values.shape) if count else values.shape
         chunks = (1, *values.shape) if count else values.shape
@@ -104,10 +111,15 @@ def write_map(file: h5py.File, name: str, values: Any, *, row: int = 0, count: i
     file[name].id.write_direct_chunk(place, compress(values))
 
 
-def digest_of(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
-    """SHA-256 of facts and arrays, whatever their order."""
-    facts = json.dumps(dict(about), sort_keys=True, default=_plain)
-    digest = hashlib.sha256(facts.encode())
+def digest_of(facts: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
+    """Compute the SHA-256 of facts and arrays, whatever their order.
+
+    Args:
+        facts: The facts.
+        arrays: The arrays by name.
+    """
+    text = json.dumps(dict(facts), sort_keys=True, default=_plain)
+    digest = hashlib.sha256(text.encode())
     for name, values in sorted(arrays.items()):
         digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
         digest.update(np.ascontiguousarray(values).data)
@@ -120,24 +132,36 @@ def _plain(value: Any) -> Any:
 
 
 def sample_digest(pair: Sequence[int], maps: Mapping[str, Any]) -> bytes:
-    """SHA-256 of what is predicted of the sample (world, viewpoint): arrays by name."""
+    """Compute the SHA-256 of the prediction of a sample.
+
+    Args:
+        pair: Its world and viewpoint.
+        maps: Arrays by name.
+    """
     return digest_of(dict(zip(WHO, map(int, pair), strict=True)), maps)
 
 
 def check_digest(file: h5py.File, names: Sequence[str]) -> None:
-    """Raise DatasetError unless a file's attributes and its arrays called `names` have the digest
-    that was written with them."""
-    about = dict(file.attrs)
-    digest = about.pop(DIGEST, None)
-    if digest != digest_of(about, {name: file[name][()] for name in names}).hex():
+    """Check a file against the digest that was written with it.
+
+    Args:
+        file: The file.
+        names: The arrays that the digest covers, besides all attributes.
+
+    Raises:
+        DatasetError: It has none, or another.
+    """
+    facts = dict(file.attrs)
+    digest = facts.pop(DIGEST, None)
+    if digest != digest_of(facts, {name: file[name][()] for name in names}).hex():
         raise DatasetError("is not as it was written; complete it again")
 
 
 def check_file(
     path: Path,
     *,
-    about: Mapping[str, str],
-    most: int,
+    facts: Mapping[str, str],
+    max_samples: int,
     shape: tuple[int, ...],
     sealed: bool = False,
 ) -> list[tuple[int, int]]:
@@ -146,8 +170,8 @@ def check_file(
 
     Args:
         path: The file.
-        about: What its attributes have to say.
-        most: How many samples it predicts at most.
+        facts: Its attributes, as they have to be.
+        max_samples: How many samples it predicts at most.
         shape: The shape of a map.
         sealed: Whether it must have digests; if it has some, they must be right in any case.
 
@@ -159,14 +183,14 @@ def check_file(
     """
     wrong = reraise_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
     with wrong, h5py.File(path, "r") as file:
-        for name, expected in about.items():
+        for name, expected in facts.items():
             if (value := str(file.attrs.get(name))) != expected:
                 raise DatasetError(
                     f"predicts {name} {short_repr(value)}, expected {short_repr(expected)}"
                 )
         sealed = sealed or DIGEST in file.attrs
         columns = (*WHO, SAMPLES) if sealed else WHO
-        _check_arrays(file, columns, most, shape)
+        _check_arrays(file, columns, max_samples, shape)
         if sealed:
             check_digest(file, columns)
         pairs = pairs_in(file)
@@ -182,7 +206,7 @@ def check_file(
 
 
 def _check_arrays(
-    file: h5py.File, columns: Sequence[str], most: int, shape: tuple[int, ...]
+    file: h5py.File, columns: Sequence[str], max_samples: int, shape: tuple[int, ...]
 ) -> None:
     """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
     one row a sample, at most so many, and maps of this shape."""
@@ -209,8 +233,8 @@ def _check_arrays(
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
             _check_chunks(name, data)
-    if (count := file["world"].shape[0]) > most:
-        raise DatasetError(f"predicts {count} samples, expected {most} at most")
+    if (count := file["world"].shape[0]) > max_samples:
+        raise DatasetError(f"predicts {count} samples, expected {max_samples} at most")
     for name in names:  # HDF5 would make up zeros
         if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
             raise DatasetError(f"{name} is not written to its end; predict each sample once")
@@ -236,8 +260,14 @@ def about_others(prediction: Prediction) -> dict[str, str]:
 
 
 def others_in(file: h5py.File) -> list[str]:
-    """Names of the arrays of other targets that a file says it has. Raises DatasetError for names
-    that no target has."""
+    """Read the names of arrays of other targets.
+
+    Args:
+        file: The file.
+
+    Raises:
+        DatasetError: No target has such a name.
+    """
     text = str(file.attrs.get(OTHERS, ""))
     names = text.split(",") if text else []
     if len(set(names)) < len(names) or not all(
@@ -260,7 +290,12 @@ def pairs_in(file: h5py.File) -> list[tuple[int, int]]:
 
 
 def prediction_at(file: h5py.File, row: int) -> Prediction:
-    """The prediction in a row."""
+    """Read the prediction in a row.
+
+    Args:
+        file: The file.
+        row: The row.
+    """
     maps = {name: file[name][row] for name in arrays_in(file)}
     maps |= {name: maps[name].astype(np.float32) for name in STORED if name in maps}
     probability = maps.pop("probability", None)
@@ -276,13 +311,13 @@ def prediction_facts(path: Path) -> dict[str, Any]:
 
 def _facts(path: Path) -> dict[str, Any]:
     with h5py.File(path, "r") as file:
-        about = {
+        facts = {
             name: printable(file.attrs[name])[:100]
             for name in ("method", "split", "dataset")
             if name in file.attrs
         }
         parts = {name: list(file[name].shape) for name in arrays_in(file)}
-        if "occupancy" in file and "method" not in about:  # the truth
+        if "occupancy" in file and "method" not in facts:  # the truth
             raise DatasetError(
                 f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
             )
@@ -290,7 +325,7 @@ def _facts(path: Path) -> dict[str, Any]:
         raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
     return {
         "predictions": str(path),
-        **about,
-        "of": "a split" if "split" in about else "a scan",
+        **facts,
+        "of": "a split" if "split" in facts else "a scan",
         "arrays": parts,
     }

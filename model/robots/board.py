@@ -25,15 +25,15 @@ class Column(NamedTuple):
 ENDS = ("success", "collision", "timeout")
 """How flights end of whose robots nothing is wrong; others crash, hang or leave the bounds."""
 BOARD = {
-    "success": Column(lambda one: one.outcome == "success", scale="outcome"),
-    "collision": Column(lambda one: one.outcome == "collision", scale="outcome"),
-    "time-out": Column(lambda one: one.outcome == "timeout", scale="outcome"),
-    "other end": Column(lambda one: one.outcome not in ENDS, scale="outcome"),
-    "score": Column(lambda one: one.score, 0.5),
-    "SPL": Column(lambda one: one.spl),
-    "least clearance, m": Column(lambda one: one.min_clearance_m),
-    "mean clearance, m": Column(lambda one: one.mean_clearance_m),
-    "decision, ms": Column(lambda one: 1e3 * one.step_s, float("inf")),
+    "success": Column(lambda row: row.outcome == "success", scale="outcome"),
+    "collision": Column(lambda row: row.outcome == "collision", scale="outcome"),
+    "time-out": Column(lambda row: row.outcome == "timeout", scale="outcome"),
+    "other end": Column(lambda row: row.outcome not in ENDS, scale="outcome"),
+    "score": Column(lambda row: row.score, 0.5),
+    "SPL": Column(lambda row: row.spl),
+    "least clearance, m": Column(lambda row: row.min_clearance_m),
+    "mean clearance, m": Column(lambda row: row.mean_clearance_m),
+    "decision, ms": Column(lambda row: 1e3 * row.step_s, float("inf")),
 }
 BEST = "score, less the best's"
 """The last column: the differences flight by flight."""
@@ -69,12 +69,20 @@ class Row(NamedTuple):
 
 
 def leaderboard(folder: Path) -> str:
-    """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
-    whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
-    head sorts by it.
+    """Write an HTML page of all entries (.json) in a folder.
 
-    Scores are those of the recorded outcomes, times and lengths, which `fly replay` checks. Raises
-    DatasetError for a file that is no entry, or has courses that are not its suite's.
+    It has a table for each choice of courses, those of whole tracks first, the best score first,
+    with 95 % intervals over worlds. A click on a column's head sorts by it. Scores are those of the
+    recorded outcomes, times and lengths, which `fly replay` checks.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        The page.
+
+    Raises:
+        DatasetError: A file is no entry, or has courses that are not its suite's.
     """
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
     for path in sorted(folder.glob("*.json")):

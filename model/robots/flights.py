@@ -47,18 +47,17 @@ COUNTS = ("late", "invalid", "speeding")
 
 
 def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
-    """What makes the robot for a course: one of `NAMES`; one that maps and has the network called
-    `weights` complete, from the last scan alone where its name is "returns"; or one's own, which
-    runs in a process of its own."""
+    """Return a function that makes the robot for a course.
+
+    Args:
+        name: One of `NAMES`, or a user's own robot, which runs in a process of its own.
+        weights: A network by which a robot that maps completes: the map of all scans, or of the
+            last scan if `name` is "returns".
+    """
     if weights is not None:
         from scenegen.model.completion.completer import opened_once
 
         network = opened_once(weights, "cpu", 1)
-        if set(network.inputs) - {"observed", "free"}:
-            raise ScenegenError(
-                f"{weights}: takes {', '.join(network.inputs)}; robots give "
-                "observed and free voxels alone"
-            )
         memory = name != FORGETFUL
         return lambda course: MappingRobot(network, memory=memory, doubts=True)
     known = {
@@ -76,15 +75,29 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
 
 
 def real_course(course: Course, hidden: int | None) -> Course:
-    """The course to fly: of a hidden track, the one that the number `hidden` draws."""
+    """Return the course to fly.
+
+    Args:
+        course: The course.
+        hidden: Number that draws the courses of a hidden track; None: another track.
+    """
     return course if hidden is None else hidden_course(course, hidden)
 
 
 def fly_course(
     course: Course, *, robot: str, weights: str | None, hidden: int | None = None
 ) -> FlownCourse:
-    """All flights of a course, one after the other, by the same robot; with the course, which then
-    has its world's hash. For `hidden` see `real_course`."""
+    """Fly all flights of a course, one after the other, by the same robot.
+
+    Args:
+        course: The course.
+        robot: See `robot_maker`.
+        weights: See `robot_maker`.
+        hidden: See `real_course`.
+
+    Returns:
+        The course, with the hash of its world, and the flights.
+    """
     real = real_course(course, hidden)
     pilot = robot_maker(robot, weights)(real)
     try:
@@ -111,14 +124,20 @@ def crew_of(execute: Executor, **progress: Any) -> Crew:
     return crew
 
 
-def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
-    """What is told of each flight, and how hard its mission is."""
-    courses = [course for course, _ in found]
+def rows_of(flights: Flights, hidden: int | None, crew: Crew) -> list[Json]:
+    """List the figures of each flight, and how hard its mission is.
+
+    Args:
+        flights: The flights.
+        hidden: See `real_course`.
+        crew: Works through the courses.
+    """
+    courses = [course for course, _ in flights]
     total = sum(course.flights for course in courses)
     grades = dict(crew(partial(_graded, hidden=hidden), courses, total))
     return [
         flight.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
-        for course, flown in found
+        for course, flown in flights
         for flight, difficulty in zip(flown, grades[course], strict=True)
     ]
 
@@ -128,8 +147,15 @@ def _graded(course: Course, *, hidden: int | None) -> tuple[Course, Sequence[Any
 
 
 def check_begins(robot: str, course: Course) -> None:
-    """Raise ScenegenError where a robot of one's own ends before it is ready for its first flight,
-    so that a word mistyped is not flown 1500 times."""
+    """Check that a user's own robot starts, so that a typo is not flown 1500 times.
+
+    Args:
+        robot: See `robot_maker`.
+        course: The first course.
+
+    Raises:
+        ScenegenError: It ends before it is ready for its first flight.
+    """
     if robot in NAMES:
         return
 
@@ -144,7 +170,12 @@ def check_begins(robot: str, course: Course) -> None:
 
 
 def summary(name: str, flown: Sequence[Flown]) -> Json:
-    """What is told of flights, together."""
+    """Summarise flights.
+
+    Args:
+        name: Name of the robot.
+        flown: The flights.
+    """
     ends = Counter(flight.outcome for flight in flown)
     row = {"robot": name, "flights": len(flown)}
     row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
@@ -238,16 +269,16 @@ def _recorded(
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)
         return {}
-    former = read_recording(out)
-    entry = replace(entry, track=entry.track or track_of(former))
-    if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
+    earlier = read_recording(out)
+    entry = replace(entry, track=entry.track or track_of(earlier))
+    if (earlier.robot, earlier.suite, track_of(earlier)) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
-            f"{out}: is of robot {former.robot}, suite {former.suite} and track "
-            f"{track_of(former)[:14]}; give another name"
+            f"{out}: is of robot {earlier.robot}, suite {earlier.suite} and track "
+            f"{track_of(earlier)[:14]}; give another name"
         )
-    if former.network and entry.network and former.network != entry.network:
+    if earlier.network and entry.network and earlier.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
-    flown = {named(course): (course, flights) for course, flights in former.courses}
+    flown = {named(course): (course, flights) for course, flights in earlier.courses}
     if not flown.keys() <= {*keys}:
         raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
     return flown
@@ -290,7 +321,17 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
 
 
 def fly_again(path: Path, recording: Recording, hidden: int | None, crew: Crew) -> Flights:
-    """The recorded flights, flown again. Raises DatasetError where one is not as it was."""
+    """Replay the recorded flights.
+
+    Args:
+        path: The recording's file, for errors.
+        recording: The recording.
+        hidden: See `real_course`.
+        crew: Works through the courses.
+
+    Raises:
+        DatasetError: A flight is not as it was recorded.
+    """
     count = sum(len(flights) for _, flights in recording.courses)
     with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, count))
@@ -298,8 +339,16 @@ def fly_again(path: Path, recording: Recording, hidden: int | None, crew: Crew) 
 
 
 def fly_anew(recording: Recording, work: Work, crew: Crew) -> tuple[int, list[Flown]]:
-    """Let a robot fly every sixteenth course of a recording. Returns how many flights that are, and
-    those that are not, to the bit, as recorded."""
+    """Let a robot fly every sixteenth course of a recording.
+
+    Args:
+        recording: The recording.
+        work: Flies a course.
+        crew: Works through the courses.
+
+    Returns:
+        How many flights that are, and those that differ from the recording in a bit.
+    """
     before = {named(course): flights for course, flights in recording.courses[::QUICK]}
     count, unlike = sum(map(len, before.values())), list[Flown]()
     courses = [course for course, _ in recording.courses[::QUICK]]

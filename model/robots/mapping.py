@@ -17,8 +17,9 @@ from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 from scenegen.model.bench.planner import field_at, refine
 from scenegen.model.bench.trials import RATHER, risk_of
-from scenegen.model.completion.protocol import MapCompleter, Returns
+from scenegen.model.completion.protocol import Returns, complete_seen, forget
 from scenegen.model.config import PlanConfig, Thresholds
+from scenegen.model.inputs import SeenMap
 from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
 from scenegen.truth.difficulty import search
@@ -36,8 +37,17 @@ PLAN = PlanConfig(step_voxels=2, iterations=20)
 
 
 def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
-    """The voxels of a grid, counted from the world's origin, that lie wholly within `bounds`
-    (2, 3), metres, at least one along each axis: how many, and the first (3,)."""
+    """Find the voxels that lie wholly within bounds, at least one along each axis.
+
+    Voxels are counted from the world's origin.
+
+    Args:
+        bounds: Least and greatest corner (2, 3), world, metres.
+        grid: Its voxel's size.
+
+    Returns:
+        A grid of so many voxels, and the first voxel (3,).
+    """
     low, high = np.floor(np.asarray(bounds) / grid.voxel_m).astype(np.int64)
     x, y, z = np.maximum(high - low - 1, 1).tolist()
     return replace(grid, shape=(x, y, z)), low + 1
@@ -57,7 +67,7 @@ class MappingRobot:
 
     def __init__(
         self,
-        completer: MapCompleter,
+        completer: Any,  # a MapCompleter, which may name more arguments
         *,
         memory: bool = True,
         frontier: bool = False,
@@ -69,6 +79,8 @@ class MappingRobot:
 
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
+        forget(self._completer)
+        self._rng = np.random.default_rng(0)
         self._about = about
         self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
@@ -83,6 +95,21 @@ class MappingRobot:
         self._known = np.zeros((2, *(window + self._fence.shape + 4)), bool)
         """What was observed, and what is free, wherever the window may come; `_least` is the
         first voxel."""
+
+    def rehearse(self) -> None:
+        """Decide once for nothing, then `reset`: in a process of its own, the first decision would
+        take too long, for kernels are compiled or loaded."""
+        about = self._about
+        self.act(
+            {
+                "ranges": np.full(about["times_s"].shape, np.inf, np.float32),
+                "position": about["bounds"].mean(axis=0),
+                "quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
+                "velocity": np.zeros(3),
+                "goal": about["goal"],
+            }
+        )
+        MappingRobot.reset(self, about)
 
     def _forget(self) -> None:
         """Hold for free, and without risk, all that the window does not show."""
@@ -136,14 +163,9 @@ class MappingRobot:
         pose, ranges = Pose(observation["position"] + arm, quaternion), observation["ranges"]
         # a range of 0 or NaN says nothing, infinity that the way is free
         known = is_return(ranges, min_range_m=0.0) | np.isposinf(ranges)
-        rays: Any = SimpleNamespace(
-            shape=(np.count_nonzero(known),),
-            directions_body=self._about["directions_body"][known],
-            times_s=self._about["times_s"][known],
-            max_range_m=float(self._about["max_range_m"]),
-        )
+        rays = self._rays(known)
         seen = voxelize(Scan(ranges[known], pose, rays), self.grid, self.origin)
-        self.observed, self.free = seen.observed, seen.free
+        self.observed, self.free, self._pose = seen.observed, seen.free, pose
         if self._memory:
             window = _box(self._corner - self._least, self.grid.shape)
             observed, free = self._known[:, *window]
@@ -151,10 +173,28 @@ class MappingRobot:
             self.free = (self.free | free) & ~self.observed
             self._known[:, *window] = self.observed, self.free
 
+    def _rays(self, chosen: Any) -> Any:
+        """The sensor, as `lidarsim.Sensor` has it, with the `chosen` rays."""
+        directions = self._about["directions_body"][chosen]
+        return SimpleNamespace(
+            shape=directions.shape[:-1],
+            directions_body=directions,
+            times_s=self._about["times_s"][chosen],
+            max_range_m=float(self._about["max_range_m"]),
+        )
+
     def believed(self) -> tuple[Mask, Field]:
         """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
         each."""
-        prediction = self._completer.complete(self.observed, self.free, grid=self.grid)
+        seen = SeenMap(
+            observed=self.observed,
+            free=self.free,
+            origin=self.origin,
+            position=self._pose.position,
+            quaternion=self._pose.quaternion,
+            lidar=self._rays(...),
+        )
+        prediction = complete_seen(self._completer, seen, grid=self.grid, rng=self._rng)
         at = Thresholds(probability=PLAN.careful_probability)
         occupied = self.observed | (prediction.occupied(at) & ~self.free)
         return occupied, risk_of(prediction, occupied, self.observed | self.free, PLAN)

@@ -33,8 +33,17 @@ TURN = 2.0
 def velocity_to(
     direction: Floats, speed: float, observation: Observation, about: Observation
 ) -> Floats:
-    """The action (4,) that flies at `speed` along a `direction` (3,) of any length, and turns to
-    look where it goes."""
+    """Fly in a direction, and turn to look there.
+
+    Args:
+        direction: (3,), world, of any length.
+        speed: Metres a second.
+        observation: See `Simulation.observe`.
+        about: See `Simulation.about`.
+
+    Returns:
+        The action (4,).
+    """
     fastest = math.radians(float(about["yaw_rate_deg_s"]))
     length = math.sqrt(float(direction @ direction))
     w, x, y, z = observation["quaternion"].tolist()
@@ -57,12 +66,20 @@ def follow(
     about: Observation,
     room: Callable[[Floats], Floats],
 ) -> Floats:
-    """The action (4,) that follows a path (n, 3), world metres, from the vehicle on: towards a
-    point on it a little ahead, so slowly that it can brake for narrow places, the path's end, and
-    what lies straight ahead where the path turns.
+    """Follow a path: fly towards a point on it a little ahead.
 
-    `room` tells how far points (n, 3) are from what is taken for occupied, (n,) metres. A corner
-    is cut no nearer to it than the path goes, unless `CUT_M` is left beside the vehicle.
+    So slowly that the vehicle can brake for narrow places, the path's end, and obstacles straight
+    ahead where the path turns. A corner is cut no nearer to an obstacle than the path goes, unless
+    `CUT_M` is left beside the vehicle.
+
+    Args:
+        path: (n, 3) from the vehicle on, world, metres.
+        observation: See `Simulation.observe`.
+        about: See `Simulation.about`.
+        room: Function from points (n, 3) to distances from what counts as occupied, (n,), metres.
+
+    Returns:
+        The action (4,).
     """
     fastest, pull = float(about["speed_mps"]), float(about["acceleration_mps2"])
     radius, (low, high) = float(about["radius_m"]), about["bounds"]

@@ -16,8 +16,8 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.executors import chunked
 from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import best_of, ious_by_threshold, judged_by
-from scenegen.model.bench.metrics import METRICS, measure
-from scenegen.model.completion.protocol import PARTS, Prediction
+from scenegen.model.bench.metrics import ScoredMap, measure, metrics_of
+from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds, TrainConfig
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
@@ -59,6 +59,9 @@ def validate(
     loss, usual = loss_of(config.loss, maps.grid, targets=targets), Thresholds()
     sums = defaultdict[str, Floats](lambda: np.zeros(2))  # sum and number of values
     largest, ious, judged = 0.0, list[Floats](), ""
+    metrics = {
+        name: metric for name, metric in metrics_of(targets).items() if not metric.bench_only
+    }
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     # closed at once, also after an error: loader processes would outlive it
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
@@ -73,32 +76,30 @@ def validate(
             predicted = {
                 name: values.numpy(force=True)
                 for name, values in output.predictions(targets, maps.grid).items()
-                if name in PARTS
             }
             if "occupancy_probability" in predicted:
                 largest = max(largest, float(predicted["occupancy_probability"].max()))
             for n in range(count):
-                prediction = Prediction(**{name: values[n] for name, values in predicted.items()})
+                prediction = Prediction.of({name: maps[n] for name, maps in predicted.items()})
                 truth = {name: values[n].numpy() for name, values in batch.items()}
                 known = truth.get("known", np.ones(maps.grid.shape, bool))
                 judged = judged_by(prediction)
                 ious.append(ious_by_threshold(prediction, truth["occupancy"], known))
-                scores = measure(
-                    prediction.occupied(),
-                    prediction.distance(None, maps.grid),
-                    truth["occupancy"],
-                    truth["tudf"],
-                    # unknown voxels have class 1, and only class 0 is measured
-                    classes=np.zeros(maps.grid.shape, np.uint8) + ~known,
-                    class_count=1,
+                scored_map = ScoredMap(
+                    prediction=prediction,
+                    truth=truth,
+                    grid=maps.grid,
+                    thresholds=usual,
+                    scored=known,
                     certain=truth.get("certain"),
-                )[0]
-                for name, value in zip(METRICS, scores.tolist(), strict=True):
+                )
+                scores = measure(scored_map, metrics)[0]
+                for name, value in zip(metrics, scores.tolist(), strict=True):
                     if math.isfinite(value):  # NaN if the map has no voxels to measure
                         sums[name] += (value, 1)
     gathered = group.gather((dict(sums), largest, ious, judged))
     all_sums, all_largest, all_ious, all_judged = zip(*gathered, strict=True)
-    means = dict.fromkeys(METRICS, math.nan)
+    means = dict.fromkeys(metrics, math.nan)
     for name in [name for theirs in all_sums for name in theirs]:
         total, number = sum(theirs.get(name, np.zeros(2)) for theirs in all_sums)
         means[name] = float(total / number)

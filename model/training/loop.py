@@ -26,7 +26,7 @@ from scenegen.base.executors import commit, installed, software
 from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
-from scenegen.model.bench.metrics import METRICS
+from scenegen.model.bench.metrics import metrics_of
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
@@ -474,8 +474,9 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             )
     terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
     steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
+    taken = {*metrics_of(network.targets), *RESERVED}
     for name, value in [*terms.items(), *steps.items()]:
-        if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, *RESERVED}:
+        if not isinstance(value, Tensor) or value.ndim or name in taken:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"

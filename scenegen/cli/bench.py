@@ -36,6 +36,7 @@ from scenegen.cli.types import FILE, Named
 from scenegen.model.config import (
     DEFAULT_NETWORK,
     METHODS,
+    OWN_METRICS,
     USUAL,
     BenchConfig,
     PlanConfig,
@@ -51,8 +52,8 @@ if TYPE_CHECKING:
 
 
 class Weights(click.ParamType):
-    """Type of a network's name: a bundled one, a file, a run's folder, or hf://user/name[@revision];
-    a user's own code stands before it, as in module:Class@FILE."""
+    """Type of a network's name: a bundled one, a file, a run's folder, or
+    hf://user/name[@revision]; a user's own code stands before it, as in module:Class@FILE."""
 
     name = "weights"
 
@@ -206,6 +207,14 @@ QUICK = {"samples": 50, "trials": 200}
     type=FILE,
     help="Somebody's predictions, an HDF5 file or a folder of them: one more row.",
 )
+@click.option(
+    "--metric",
+    "metrics",
+    type=Named(OWN_METRICS),
+    multiple=True,
+    help="A metric of your own, MODULE:OBJECT, beside those that are always measured; repeatable. "
+    "See docs/metrics.md.",
+)
 @out_option("Folder of the report.", default=Path("bench"))
 @options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")
 @click.option(
@@ -213,6 +222,7 @@ QUICK = {"samples": 50, "trials": 200}
 )
 @options_of(
     BenchConfig,
+    draws="Answers for each map of a method that draws.",
     reliability="Also measure how reliable probabilities are. See docs/metrics.md.",
     seed="Decides the goals.",
 )

@@ -48,6 +48,8 @@ class Guess:
     """Distances, of the grid's shape, metres; None if the method predicts none."""
     route: Route | None = None
     """The path planned on these maps."""
+    figures: Mapping[str, str] = field(default_factory=dict)
+    """Its metrics of other targets, by name."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,6 +138,7 @@ class Look:
                 wrong = (truth ^ guess.occupied) & (True if self.scored is None else self.scored)
                 missed, invented = (wrong & truth).sum(), (wrong & guess.occupied).sum()
                 rows[guess.name] = f"{text}, {missed} missed, {invented} invented"
+            rows |= {f"{guess.name}: {name}": text for name, text in guess.figures.items()}
             if guess.route is not None:
                 rows[f"{guess.name}: path"] = guess.route.told
         return rows

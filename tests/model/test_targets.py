@@ -2,7 +2,9 @@
 back."""
 
 import dataclasses
+import json
 import re
+import shutil
 from pathlib import Path
 
 import h5py
@@ -21,11 +23,12 @@ from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.inputs import turned
 from scenegen.model.targets import target_called
 from scenegen.worlds.labels import labels_by
-from tests.command_line import done, example, page, refused, rows
+from tests.command_line import ROOT, done, example, page, refused, rows
 from tests.conftest import dataset_in, small_recipe
 from tests.model.training.runs import figures, maps_of, train
 
 COUNTS = {"train": 8, "val": 4, "test": 4}
+PREDICTED = "bench data/street --method empty --predictions predictions --metric my_labels:Classes"
 LABELS = labels_by("name", ())
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -40,7 +43,7 @@ def here(once, standing):
     """A user's folder with the page's target, to stand in."""
     (standing / "data").mkdir()
     (standing / "data" / "street").symlink_to(once("labelled", labelled_in) / "d")
-    (standing / "my_labels.py").write_text(example("own-network.md", "# my_labels.py"))
+    shutil.copy(ROOT / "docs/examples/my_labels.py", standing)
     yield standing
     target_called.cache_clear()
 
@@ -52,7 +55,7 @@ def config_of(**more):
 
 def test_the_page_trains_completes_and_reads_back(here, capsys):
     lines = re.findall(r"^    scenegen (.*)$", page("own-network.md"), re.MULTILINE)
-    _, training, completing = (line for line in lines)
+    training, completing, benching = lines[1:4]
     done(capsys, f"{training} --epochs 6 --width 4 --batch 4 --device cpu --lr 0.01")
     losses = [float(row["val_classes"]) for row in figures(Path("runs/classes"))]
     assert losses[-1] < 0.8 * losses[0]
@@ -70,6 +73,26 @@ def test_the_page_trains_completes_and_reads_back(here, capsys):
         assert (classes == sample.voxel_class).mean() > 0.5
     assert prediction_facts(Path("predictions/test-00000.h5"))["arrays"]["classes"][0] == 4
     assert "classes" in Path("runs/classes/card.md").read_text()
+    # the network's own row, and the file's, whose targets are named
+    done(capsys, f"{benching} --quick --quiet --workers 1 --method empty")
+    done(capsys, f"{PREDICTED} --quiet -o again --workers 1")
+    held = [json.loads(Path(at, "report.json").read_text()) for at in ("bench", "again")]
+    by_net, by_file = (report["reconstruction"]["pillar"] for report in held)
+    said = [read.completion(sample, samples).others["classes"] for sample in samples]
+    right = (np.array(said) == [sample.voxel_class for sample in samples]).mean()
+    assert by_net["classes"]["classes_accuracy"]["mean"] == pytest.approx(right, abs=1e-6)
+    assert by_net["classes"]["classes_miou"] == by_file["predictions"]["classes_miou"]
+    assert by_net["empty"]["classes_miou"]["n"] == 0
+    assert "mIoU of classes" in Path("bench/report.md").read_text()
+
+
+def test_metrics_of_classes_need_their_truth(here, folders, capsys):
+    (row,) = train(["data/street"], config_of(epochs=1), here / "run")
+    assert 0 <= row["val_classes_miou"] <= row["val_classes_accuracy"] <= 1
+    words = f"bench {folders[0]} --quick --quiet --workers 1 --weights my_labels:Classes@run"
+    done(capsys, f"{words} --method empty")
+    assert "classes_miou" not in Path("bench/report.json").read_text()
+    assert "has no truth" in refused(capsys, f"{words} --metric my_labels:Classes")
 
 
 def test_a_scan_is_stored_with_its_classes(here, capsys):

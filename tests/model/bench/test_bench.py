@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal, assert_equal
+from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
+from lidarsim.grid import iou
 from scenegen.__main__ import app
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.base.workers import Local
+from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
 from scenegen.model.bench.report import build_report, to_markdown
@@ -92,7 +94,8 @@ def test_perfect_predictions_score_and_plan_as_the_truth(dataset, tmp_path):
     truth, from_file, copied = result.methods.values()
     for perfect in (truth, from_file):  # six metrics of distance, and then those of occupancy
         assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
-        assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
+        assert_array_equal(perfect.reconstruction[:, 0, 6:10], 1)
+        assert_array_equal(perfect.values("chamfer"), 0)
     assert truth.trials == from_file.trials
     # free voxels have just that, and are not above it; 0.6 is below the paper's threshold
     assert copied.thresholds.probability == pytest.approx(0.3)
@@ -107,6 +110,50 @@ def test_workers_and_rows_change_no_figure(dataset):
     assert beside["returns"].trials == alone.trials
     reseeded = bench(dataset, [Truth()], replace(CONFIG, seed=1)).methods
     assert reseeded["truth"].trials != beside["truth"].trials
+
+
+class Drawn:
+    """Occupied at random, as `rng` says; it writes to its arguments, and remembers one map."""
+
+    name = "drawn"
+    maps = 0
+
+    def reset(self):
+        self.maps = 0
+
+    def complete(self, observed, free, *, grid, seen, rng):
+        assert not hasattr(seen, "occupancy")
+        self.maps += 1
+        assert self.maps == 1
+        observed |= rng.random(grid.shape) < 0.1
+        return Prediction(occupancy_probability=observed.astype(np.float32))
+
+
+def test_draws_are_averaged_and_the_best_of_each_map_stands_beside(dataset):
+    """Draw by draw, as the random numbers of each map have it, by any number of workers."""
+    split, config = dataset.split("test"), replace(CONFIG, draws=3)
+    rows = [Completed(Drawn()), Completed(Returns())]
+    first, again = (bench(dataset, rows, config, execute=Local("", n)) for n in (1, 2))
+    drawn, plain = first.methods.values()
+    assert_array_equal(drawn.reconstruction, again.methods["drawn"].reconstruction)
+    ious = []
+    for n, sample in enumerate(split):
+        for draw in range(3):
+            said = sample.observed | (rng_of(0, n, draw).random(split.dataset.grid.shape) < 0.1)
+            ious.append(iou(said, sample.occupancy))
+    ious = np.reshape(ious, (-1, 3))
+    assert_allclose(drawn.values("iou"), ious.mean(axis=1))
+    column = [*METRICS].index("iou")
+    assert_allclose(drawn.best[:, column], ious.max(axis=1))
+    assert (drawn.best[:, [*METRICS].index("rmse")] < drawn.values("rmse")).all()
+    assert plain.best is None
+    assert_array_equal(
+        plain.reconstruction,
+        bench(dataset, rows[1:], CONFIG).methods["returns"].reconstruction,
+    )
+    report = build_report([first], seed=0, about={})
+    assert report["reconstruction"]["pillar"]["drawn"]["best_of_draws"]["iou"]["n"] == 9
+    assert to_markdown(report).count("best of 3 draws by the truth") == 1
 
 
 def test_every_figure_has_its_place(dataset, tmp_path, capsys):

@@ -10,7 +10,8 @@ from scipy import stats
 from lidarsim import GridSpec
 from scenegen.draw.draw import draw_unit
 from scenegen.draw.source import DrawnWorlds
-from scenegen.model.bench.metrics import METRICS, measure
+from scenegen.model.bench.metrics import METRICS, ScoredMap
+from scenegen.model.bench.metrics import measure as measure_map
 from scenegen.model.bench.visibility import (
     CLASSES,
     UNSCORED,
@@ -26,6 +27,20 @@ from tests.conftest import small_recipe
 from tests.refusals import refuses
 
 GRID = GridSpec(shape=(7, 6, 5))
+SUMMED = {name: metric for name, metric in METRICS.items() if metric.needs != "map"}
+
+
+def measure(occupied, distance, truth, true, *, classes, class_count, certain=None, union=()):
+    """The metrics that are sums over voxels."""
+    judged = ScoredMap(
+        prediction=Prediction(occupancy_probability=occupied.astype(np.float32), tudf=distance),
+        truth={"occupancy": truth, "tudf": true},
+        grid=GRID,
+        thresholds=Thresholds(),
+        scored=classes < class_count,
+        certain=certain,
+    )
+    return measure_map(judged, SUMMED, classes=classes, class_count=class_count, union=union)
 
 
 def written_out(occupied, truth, error, near):
@@ -64,7 +79,7 @@ def test_metrics_are_their_definitions(seed):
         part = np.isin(classes, union)
         near = error[part & sure & (true <= 1.0)]
         expected = written_out(occupied[part], truth[part], error[part & sure], near)
-        assert dict(zip(METRICS, row, strict=True)) == pytest.approx(expected)
+        assert dict(zip(SUMMED, row, strict=True)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("occupied", "truth"), [(0, 0), (1, 0), (0, 1)])
@@ -73,7 +88,7 @@ def test_empty_maps_have_metrics(occupied, truth):
     far, classes = np.full(GRID.shape, 2.0, np.float32), np.zeros(GRID.shape, np.uint8)
     how = {"classes": classes, "class_count": 1}
     row, *_ = measure(occupied, far, truth, distance_field(truth, GRID), **how)
-    figures = dict(zip(METRICS, row, strict=True))
+    figures = dict(zip(SUMMED, row, strict=True))
     shares = {figures[name] for name, metric in METRICS.items() if metric.needs == "occupancy"}
     assert shares == {float((occupied == truth).all())}
     assert np.isnan(figures["near_rmse"]) == (not truth.any())
