@@ -158,7 +158,7 @@ def calibrate(
     if len(set(digests)) < len(digests):
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
     for dataset in datasets:
-        # a map of a real place lacks the truth of just those voxels that are counted
+        # in a map of a real place, the truth of some of the voxels that are counted is unknown
         check_whole(dataset, "calibrate on drawn worlds")
         with reraise_as(DatasetError, f"{dataset.name}: "):
             method.check_grid(dataset.grid)

@@ -142,7 +142,7 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
             total = maps.sum(axis=0)
             if not total[:, 0].any():
                 continue
-            # bins of all maps are summed first: a map alone has too few voxels in most of them
+            # over the voxels of all maps together: calibration errors are of bins, not of maps
             figures = {}
             for name in SCORES:
                 figure = estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))

@@ -304,7 +304,7 @@ def measured_targets(
     measured = dict[str, Target]()
     for name, target in (targets | named).items():
         if target.metrics:
-            # a method may predict more than a dataset has the truth of; a named target may not
+            # a method may predict more than the dataset has; what the user names, it must have
             try:
                 truth_of(target, name, sample, grid)
             except ScenegenError as error:

@@ -77,7 +77,7 @@ def classify(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
     )
     six = ndimage.generate_binary_structure(3, 1)
-    # beyond the map counts as occupied: a wall at the border would have no interior
+    # beyond the map counts as occupied: otherwise a wall at the border would have no interior
     inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)
     classes[inside] = CLASSES.index("interior")
     # later lines win: a voxel that a ray crossed is seen, however solid its surroundings

@@ -129,7 +129,7 @@ def _cells(row: Row, best: Row) -> list[str]:
             if summary[name] is not None:
                 summary[name] = min(max(summary[name], 0.0), column.maximum)
         cells.append(brief(summary))
-    # on the same flights: most of the spread is that of the worlds, and cancels
+    # differences on the same flights: how hard these are cancels
     pairs = zip(row.scores, best.scores, strict=True)
     less = summarise([flight - best_score for flight, best_score in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]

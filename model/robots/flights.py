@@ -213,7 +213,7 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
         part: round(float(np.mean([getattr(flight, part) for flight in flown])), 4)
         for part in RATIOS
     }
-    # of extremes, the mean would hide the one flight that came too near
+    # the least of all flights: a mean would hide the one that came too near
     row["min_clearance_m"] = round(min(flight.min_clearance_m for flight in flown), 4)
     row["most_step_s"] = round(max(flight.most_step_s for flight in flown), 4)
     return row | {part: sum(getattr(flight, part) for flight in flown) for part in COUNTS}
@@ -273,7 +273,7 @@ def fly_courses(
         count = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {count}: give the same command again to go on"
 
-    # in memory until then: a suite takes hours, and a stop must lose seconds only
+    # a suite takes hours: it is written every `SAVED_S`, so that even a kill loses little
     saved_s, total = time.monotonic(), sum(course.flights for course in missing)
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
@@ -313,7 +313,7 @@ def _recorded(
         )
     if earlier.network and entry.network and earlier.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
-    # courses that the suite does not have here would be lost when the entry is written
+    # writing the entry would lose flights of courses that are not among these
     flown = {named(course): (course, flights) for course, flights in earlier.courses}
     if not flown.keys() <= {*keys}:
         raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
