@@ -1,9 +1,11 @@
 """A user's own kind, method and command, as the docs show them, by the installed script in a folder
 of the user's."""
 
+import json
+
 import pytest
 
-from tests.command_line import SMALL, example, rows
+from tests.command_line import SMALL, done, example, rows
 from tests.refusals import refuses_command
 
 EXAMPLES = """
@@ -60,6 +62,37 @@ def regenerated(table):
     """The line of what was drawn again."""
     (line,) = (line for line in table.splitlines() if line.startswith("regenerated"))
     return line
+
+
+@pytest.fixture
+def mixture(standing, capsys):
+    """A collection of hard worlds of pillars and of a kind of the user's."""
+    (standing / "my_worlds.py").write_text(example("own-worlds.md", "class Vineyard"))
+    kinds = "pillar", "my_worlds:Vineyard"
+    components = (f'[[component]]\nkind = "{kind}"\ndifficulty = "hard"\n' for kind in kinds)
+    text = SMALL.replace('"pillar"', '"mixed"') + "".join(components)
+    (standing / "mix.toml").write_text(text)
+    done(capsys, "generate --recipe mix.toml -n 6 --val 0 --test 0 --out mix --workers 1 --quiet")
+    return standing / "mix"
+
+
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [
+        ("pillar", "pillar pillar-hard"),
+        ("Vineyard", "Vineyard Vineyard-hard my_worlds:Vineyard my_worlds:Vineyard-hard"),
+    ],
+)
+def test_a_plain_kind_takes_every_difficulty(folder, names, mixture, capsys):
+    for name in names.split():
+        done(capsys, f"take mix --kind {name} -o taken.json --quiet --workers 1")
+        (taken,) = json.loads((mixture.parent / "taken.json").read_text())["datasets"]
+        assert (taken["path"], taken["samples"]) == (f"mix/{folder}-hard", {"train": [0, 1, 2]})
+
+
+@pytest.mark.parametrize("kind", ["pillar-medium", "Vineyard-easy", "cave"])
+def test_kinds_are_named_where_none_is_taken(kind, mixture, capsys):
+    refuses_command(capsys, f"take mix --kind {kind} -o none.json")
 
 
 LACKING = f"""
