@@ -95,6 +95,21 @@ def test_kinds_are_named_where_none_is_taken(kind, mixture, capsys):
     refuses_command(capsys, f"take mix --kind {kind} -o none.json")
 
 
+def test_a_collections_worlds_of_the_kind_are_drawn_again(mixture, capsys):
+    def skipped(options):
+        report = json.loads(done(capsys, f"verify mix --workers 1 --json {options}"))
+        return {
+            check["name"]: check["skipped"]
+            for check in report["checks"]
+            if check["name"].endswith("regenerated")
+        }
+
+    pillar, vineyard = "pillar-hard: regenerated", "Vineyard-hard: regenerated"
+    assert skipped("") == {pillar: False, vineyard: True}
+    assert skipped("--kind my_worlds:Vineyard") == {pillar: False, vineyard: False}
+    refuses_command(capsys, "verify mix --kind my_worlds:Orchard")
+
+
 LACKING = f"""
 generate --quiet --kind absent:Vineyard
 generate --quiet --kind wrong:Other
