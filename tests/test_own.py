@@ -125,6 +125,8 @@ bench made --quiet --method wrong:Worse --workers 2
 wrong:failing
 ends:all
 generate --quiet --kind wrong:Leafy --workers 1
+generate --quiet --kind wrong:Heavy --workers 1
+generate --quiet --kind wrong:Heavier --workers 1
 recipe wrong:Crowded
 recipe wrong:Graded
 generate --quiet --kind wrong:Sparse --workers 1
@@ -184,6 +186,15 @@ class Failing(Bare):
     def add_to(self, spec, *, rng): gone()
 @dataclass(frozen=True, kw_only=True)
 class {"K" * 95}(Bare): pass
+@dataclass(frozen=True, kw_only=True)
+class Heavy(Bare):
+    def max_solids(self): return 3
+    def add_to(self, spec, *, rng): spec.add_geoms([2] * 25_000, [1, 0, 0], [0, 0, 1])
+@dataclass(frozen=True, kw_only=True)
+class Heavier(Heavy):
+    def add_to(self, spec, *, rng):
+        spec.worldbody.add_geom(size=[1, 0, 0])
+        super().add_to(spec, rng=rng)
 """
 
 
