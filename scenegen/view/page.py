@@ -298,7 +298,17 @@ class PageServer(ThreadingHTTPServer):
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
     def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """Answer a request of the page for a part; this one has all its parts."""
+        """Answer a request of the page for a part. This page has all its parts in it.
+
+        Args:
+            kind: "sample" or "world".
+            number: Number of the dataset.
+            split: Name of the split.
+            index: Index of the sample in the split.
+
+        Returns:
+            Status, and a line in `error`.
+        """
         return HTTPStatus.NOT_FOUND, {"error": "no such part"}
 
 
