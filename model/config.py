@@ -28,7 +28,7 @@ from scenegen.base.limits import (
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 DEFAULT_NETWORK = "anywhere"
-"""The one of them that completes where none is named."""
+"""The one of them that is used if none is named."""
 PREDICTIONS = "predictions.json"
 """The file of a folder of predictions that says whose they are, and of what."""
 LEVELS = 3
@@ -40,10 +40,10 @@ SHARED = ("shared",)
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What sets a network apart from the others."""
+    """Architecture of a network: its tasks, decoders and branches."""
 
     tasks: tuple[str, ...] = TASKS
-    """What it predicts, with a head for each: some of `TASKS`, in their order."""
+    """Targets that it predicts, with a head for each: some of `TASKS`, in their order."""
     decoders: tuple[str, ...] = TASKS
     """Its decoders: one for each task, or `SHARED`."""
     coupled: bool = False
@@ -64,14 +64,14 @@ VARIANTS = {
     # ours: one decoder for both tasks, and a flat U-Net over whole columns
     "columns": Variant(decoders=SHARED, columns=WIDE),
 }
-"""Every variant by its name; `scenegen.model.network` builds what is said here."""
+"""Every variant by its name; `scenegen.model.network` builds them."""
 
 NETWORKS = Registry(
     "variant",
     dict.fromkeys(VARIANTS, "scenegen.model.network:Network"),
     needs={"load_state_dict": "a method, as every torch.nn.Module has it"},
 )
-"""Classes of networks, made from a `NetworkConfig`; docs/own-network.md says what one's own has."""
+"""Classes of networks, made from a `NetworkConfig`; docs/own-network.md describes a user's own."""
 LOSSES = Registry("loss", {"coupled": "scenegen.model.losses:Coupled"})
 """Objectives: a class, made from (`LossConfig`, `GridSpec`), or a function: (output, batch) ->
 terms."""
@@ -84,8 +84,8 @@ TARGETS = Registry(
     "target",
     {"occupancy": "scenegen.model.targets:Occupancy", "tudf": "scenegen.model.targets:Tudf"},
 )
-"""Classes of what a network may predict; see `scenegen.model.targets.Target`."""
-TAKEN = {
+"""Classes of targets that a network may predict; see `scenegen.model.targets.Target`."""
+RESERVED = {
     "occupancy", "tudf", "observed", "known", "certain", "loss", "lovasz", "regression", "eikonal",
     "world", "viewpoint", "sha256", "occupancy_probability", "probability",
 }  # fmt: skip
@@ -113,12 +113,13 @@ USUAL = tuple(name for name in METHODS.builtin if name != "seen")
 
 
 def is_own(name: str) -> bool:
-    """Whether `name` is module:Object, so that code of a user's own stands behind it."""
+    """Check if a name is module:Object, code of a user's own."""
     return ":" in name
 
 
 def target_name(name: str) -> str:
-    """What batches, outputs and predictions call a target: "classes" for "my_labels:Classes"."""
+    """Return the name of a target in batches, outputs and predictions: "classes" for
+    "my_labels:Classes"."""
     return name.rpartition(":")[2].lower()
 
 
@@ -129,6 +130,9 @@ def named(registry: Registry, name: str) -> Any:
         registry: The registry.
         name: Name of the object.
 
+    Returns:
+        The object.
+
     Raises:
         ScenegenError: There is none; the message has one line.
     """
@@ -137,18 +141,31 @@ def named(registry: Registry, name: str) -> Any:
 
 
 def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
-    """The own code that the name of a network grants, and the rest of the name.
+    """Split the name of a network into the user's own code that it grants, and the rest.
 
     "my_net:Net,my_input:rise@runs/mine" is the network in runs/mine, which may be made of these
     two. A file alone never has code imported, whatever its header says.
+
+    Args:
+        weights: The name.
+
+    Returns:
+        Names of objects, module:Object; and the name without them.
     """
     match = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
     return (frozenset(match[1].split(",")), match[2]) if match else (frozenset(), str(weights))
 
 
 def split_name(weights: str) -> tuple[str, str]:
-    """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
-    exists is WEIGHTS as it stands."""
+    """Split NAME=WEIGHTS, by which a user names a network's row.
+
+    Args:
+        weights: The text.
+
+    Returns:
+        NAME, "" without one, and WEIGHTS.
+    """
+    # an existing path may have an equals sign of its own
     name, equals, place = weights.partition("=")
     named = equals and re.fullmatch(r"[\w. -]+", name) and not Path(split_own(weights)[1]).exists()
     return (name, place) if named else ("", weights)
@@ -156,8 +173,8 @@ def split_name(weights: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfig:
-    """What a network looks like. "Paper" is the paper's section "Implementation Details"; "ours" is
-    what it leaves open."""
+    """Settings of a network. "Paper" is the paper's section "Implementation Details"; "ours" are
+    settings that it leaves open."""
 
     variant: str = "proposed"
     """Which of `VARIANTS`, or one's own as module:Class."""
@@ -186,9 +203,10 @@ class NetworkConfig:
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short_repr(self.inputs)}: expected one or more, each once")
         targets = [*map(target_name, self.targets)]
-        taken = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
-        own = {*map(target_name, filter(is_own, self.targets))}
-        if len(set(targets)) < len(targets) or taken & {*targets} or TAKEN & own:
+        used = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
+        # only a user's own: built-in targets have these names by right
+        new = {*map(target_name, filter(is_own, self.targets))}
+        if len(set(targets)) < len(targets) or used & {*targets} or RESERVED & new:
             raise ValueError(f"targets = {short_repr(self.targets)}: expected new names, each once")
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
@@ -197,7 +215,7 @@ class NetworkConfig:
             )
 
     def channels_of(self, target: str) -> int:
-        """How many channels a target has, called by its `target_name`."""
+        """Return the number of channels of a target, called by its `target_name`."""
         return dict(zip(map(target_name, self.targets), self.channels, strict=False)).get(target, 1)
 
     def check_map(self, shape: tuple[int, ...]) -> None:
@@ -219,6 +237,7 @@ class NetworkConfig:
                 f"maps of {shape} voxels; this network sees columns of {self.height} voxels, no "
                 f"others"
             )
+        # memory grows with voxels times channels
         if math.prod(shape) * (features := max(self.width, *self.channels, 1)) > MAX_FEATURES:
             raise ValueError(
                 f"maps of {shape} voxels at width {features}: expected "
@@ -228,8 +247,8 @@ class NetworkConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LossConfig:
-    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" is
-    what it leaves open."""
+    """Weights of the objective. "Paper" is the paper's section "Implementation Details"; "ours" are
+    settings that it leaves open."""
 
     objective: str = "coupled"
     """The paper's, which the weights below are of, or one's own as module:Object."""
@@ -258,8 +277,8 @@ class LossConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """All that a run's outcome depends on besides its datasets. "Paper" is the paper's section
-    "Implementation Details"; "ours" is what it leaves open."""
+    """Everything besides its datasets that decides the outcome of a run. "Paper" is the paper's
+    section "Implementation Details"; "ours" are settings that it leaves open."""
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: LossConfig = field(default_factory=LossConfig)
@@ -318,9 +337,20 @@ class TrainConfig:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> "TrainConfig":
-        """From fields of itself, of `NetworkConfig` and of `LossConfig`, which have no name in
-        common. Raises TypeError for a setting that there is not, ValueError for one out of its
-        bounds."""
+        """Make a configuration from settings without nesting.
+
+        Args:
+            settings: Fields of this class, of `NetworkConfig` and of `LossConfig`, which have no
+                name in common.
+
+        Returns:
+            The configuration.
+
+        Raises:
+            TypeError: There is no such setting.
+            ValueError: A setting is out of its bounds.
+        """
+        # flat, as the options of the command line are
         left = dict(settings)
         network, loss = (
             {item.name: left.pop(item.name) for item in fields(part) if item.name in left}
@@ -333,7 +363,7 @@ PROTOCOLS: dict[str, dict[str, Any]] = {
     "ours": {},
     "paper": {"optimizer": "adamw", "schedule": "constant", "decay_all": True, "augment": False},
 }
-"""Named protocols: what each has in place of the defaults of `TrainConfig`."""
+"""Named protocols: settings that replace the defaults of `TrainConfig`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -350,15 +380,15 @@ UNITS = {"probability": "", "distance_m": " m"}
 """Of the fields of `Thresholds`."""
 MAX_DRAWS = 1000
 NEAR_M = 1.0
-"""The paper's bound of what is near an obstacle, metres."""
+"""Distance up to which a voxel is near an obstacle, metres (paper)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanConfig(Checked):
     """How paths are searched, refined and judged.
 
-    "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what
-    it leaves open.
+    "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" are
+    settings that it leaves open.
     """
 
     planner: Literal["paper", "careful"] = "paper"
@@ -393,7 +423,7 @@ class PlanConfig(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class BenchConfig(Checked):
-    """What is measured, and how much of it."""
+    """Settings of the bench: samples, trials, metrics and planner."""
 
     split: Literal["train", "val", "test"] = "test"
     """The split that is measured; calibration looks at val."""
@@ -419,6 +449,6 @@ def bundled() -> list[str]:
 
 
 def unknown_network(name: str) -> str:
-    """What to say of a `name` that leads to no network."""
+    """Message for a name of a network that does not exist."""
     hint = suggestion(name, bundled())
     return f"{name}: no such network; {hint}; or give a .safetensors file, or a run's folder"

@@ -1,4 +1,4 @@
-"""What a network can be shown of a map: every input channel, by name.
+"""Input channels of networks, by name.
 
 A *named batch* maps names of inputs to arrays. Data, training, validation, completion and export
 hand it on as it is. One more channel is a function (seen, grid, sensor) → (*grid.shape), where
@@ -27,7 +27,7 @@ SYMMETRIES = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointScan:
-    """One scan alone: what is known of a map where there is no dataset.
+    """A single scan, the observations of a map without a dataset.
 
     `observed`, `free`, `origin` and `position` are named as a sample's.
     """
@@ -58,15 +58,15 @@ class PointScan:
 
     @cached_property
     def free(self) -> Mask:
-        """(*grid.shape): what rays that returned something crossed; of others points say
-        nothing."""
+        """(*grid.shape): voxels that rays with a return crossed; points do not tell other rays."""
+        # a dataset's `free` has the rays without a return, too: see `UNTOLD`
         crossed = sort_points(self.position, self.points, self.grid, self.origin).free
         return crossed & ~self.observed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenMap:
-    """A map without its truth: what the bench and robots show to inputs and methods. Positions are
+    """A map without its truth, which the bench and robots pass to inputs and methods. Positions are
     metres in the world."""
 
     observed: Mask
@@ -90,28 +90,55 @@ class SeenMap:
 
 
 Channel = Callable[[Any, GridSpec, Any], NDArray[Any]]
-"""What makes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's
-sample, only the fields that this accesses are read."""
+"""Function that computes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a
+dataset's sample, only the fields that it accesses are read."""
 BINARY = ("observed", "free")
 """Channels in which every voxel holds 0 or 1; others hold finite numbers."""
 UNTOLD = {
     "free": "of rays without a return nothing is known, so less is free than in training",
 }
-"""What points alone do not tell of a channel, and what it then holds instead, for people."""
+"""Messages on channels that differ if a map is computed from points only."""
 
 
 def observed(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
-    """The voxels that hold a return."""
+    """Channel of the voxels that hold a return.
+
+    Args:
+        seen: A sample, `PointScan` or `SeenMap`.
+        grid: Its grid.
+        sensor: The sensor; not used.
+
+    Returns:
+        Mask (*grid.shape).
+    """
     return seen.observed
 
 
 def free(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
-    """Those that a ray crossed, less the observed ones."""
+    """Channel of the voxels that a ray crossed, without the observed ones.
+
+    Args:
+        seen: A sample, `PointScan` or `SeenMap`.
+        grid: Its grid.
+        sensor: The sensor; not used.
+
+    Returns:
+        Mask (*grid.shape).
+    """
     return seen.free
 
 
 def distance(seen: Any, grid: GridSpec, sensor: Any) -> Field:
-    """Metres to the nearest observed voxel, at most the truncation."""
+    """Channel of the distances to the nearest observed voxel.
+
+    Args:
+        seen: A sample, `PointScan` or `SeenMap`.
+        grid: Its grid.
+        sensor: The sensor; not used.
+
+    Returns:
+        (*grid.shape): metres, at most the truncation.
+    """
     return distance_field(seen.observed, grid)
 
 
@@ -122,6 +149,9 @@ def input_called(name: str) -> Channel:
     Args:
         name: Its name.
 
+    Returns:
+        The function, the same object on every call.
+
     Raises:
         ScenegenError: There is no such input.
     """
@@ -130,6 +160,20 @@ def input_called(name: str) -> Channel:
         return function
 
     def checked(seen: Any, grid: GridSpec, sensor: Any) -> Field:
+        """Compute the channel, and check it.
+
+        Args:
+            seen: A sample, `PointScan` or `SeenMap`.
+            grid: Its grid.
+            sensor: The sensor, or None.
+
+        Returns:
+            (*grid.shape), float32.
+
+        Raises:
+            OwnCodeError: The user's code failed.
+            DatasetError: It is not a map of finite numbers.
+        """
         try:
             values = np.asarray(function(seen, grid, sensor), np.float32)
         except Exception as error:  # a loader process hands over no traceback
@@ -168,8 +212,12 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
         sample: The sample.
         grid: Its grid.
         sensor: The sensor.
+
+    Returns:
+        The scan, or None.
     """
     scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
+    # several scans, or a map ahead of the sensor, cannot be had from one cloud of points
     single = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
     return scan if single else None
 
@@ -182,7 +230,11 @@ def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:
     Args:
         grid: (..., X, Y, Z).
         symmetry: 0 to 7: `symmetry` % 4 quarter turns, mirrored in y from 4 on.
+
+    Returns:
+        The map, contiguous, (..., X, Y, Z).
     """
+    # not about x or y: worlds stand on the ground
     if symmetry >= SYMMETRIES // 2:
         grid = grid[..., ::-1, :]
     return np.ascontiguousarray(np.rot90(grid, symmetry % 4, axes=(-3, -2)))

@@ -1,7 +1,7 @@
-"""What a network can predict of a map: every target, by name.
+"""Targets of networks, by name.
 
-A target says what it is in truth, how many channels a network has for it, by which loss they are
-learned, and what a prediction keeps of them. One more is a class like those below: an entry of
+A target defines its truth, the number of channels that a network has for it, the loss by which
+these are learned, and the array of a prediction. One more is a class like those below: an entry of
 `TARGETS` in config.py, or a user's own as module:Class, in the `NetworkConfig` of the network that
 predicts it. The batch, the outputs of a network, its loss and its predictions call a target by its
 `target_name`.
@@ -40,7 +40,7 @@ class Target:
     part = ""
     """The array of a prediction that holds it, where that is not called like the target."""
     meaning = "finite numbers"
-    """What a prediction holds in every voxel, for errors."""
+    """Meaning of a prediction's values, for errors."""
     minimum = -np.inf
     """The least value of a prediction."""
     maximum = np.inf
@@ -67,25 +67,31 @@ class Target:
         Args:
             truth: The truth.
             symmetry: See `scenegen.model.inputs.turned`.
+
+        Returns:
+            The turned truth.
         """
         return turned(truth, symmetry)
 
     def output(self, values: "Tensor") -> "Tensor":
-        """What a head gives, (B, *grid.shape) or (B, channels, *grid.shape), made an output: the
-        activation."""
+        """Apply the activation to the values of a head, (B, *grid.shape) or (B, channels,
+        *grid.shape)."""
         return values
 
     @abstractmethod
     def loss(
         self, output: "Tensor", batch: Mapping[str, "Tensor"], objective: Any
     ) -> "Tensor | tuple[Tensor, Terms]":
-        """What is added to the loss of a batch, a scalar; and its terms, where it has several.
+        """Compute the target's part of the loss of a batch.
 
         Args:
             output: The network's, as the method `output` made it.
             batch: The inputs and the truth by name; of maps of real places, `known`, too.
             objective: A `scenegen.model.losses.Coupled`; it has the `config`, the `grid`, and
                 `mean(values, over)`.
+
+        Returns:
+            A scalar, which is added to the loss; with its terms by name, if it has several.
         """
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
@@ -102,12 +108,20 @@ class Target:
 
 
 class Occupancy(Target):
-    """Whether a voxel is occupied; outputs are logits."""
+    """Occupancy of a voxel; outputs are logits."""
 
     part, meaning, minimum, maximum = "occupancy_probability", "a probability from 0 to 1", 0.0, 1.0
 
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
-        """Bool."""
+        """Return the true occupancy.
+
+        Args:
+            sample: The sample.
+            grid: Its grid.
+
+        Returns:
+            Mask (*grid.shape).
+        """
         return sample.occupancy
 
     def loss(
@@ -119,6 +133,9 @@ class Occupancy(Target):
             output: Logits.
             batch: Holds `occupancy`, and maybe `known`.
             objective: See `Target.loss`.
+
+        Returns:
+            The weighted sum, and its terms without weights.
         """
         config, truth = objective.config, (batch["occupancy"], batch.get("known"))
         terms = {"occupancy": objective.occupancy_loss(output, *truth)}
@@ -129,7 +146,15 @@ class Occupancy(Target):
         return config.occupancy * total, terms
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
-        """The probability."""
+        """Convert logits to probabilities.
+
+        Args:
+            output: Logits.
+            grid: The grid; not used.
+
+        Returns:
+            From 0 to 1, of the same shape.
+        """
         return output.sigmoid()
 
 
@@ -139,12 +164,21 @@ class Tudf(Target):
     part, meaning, minimum = "tudf", "a distance of at least 0", 0.0
 
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
-        """Float32, truncated."""
-        # of these voxels, so that of a dataset that stores distances no more is read
+        """Compute the true distances.
+
+        Args:
+            sample: The sample.
+            grid: Its grid.
+
+        Returns:
+            (*grid.shape): float32 metres, truncated.
+        """
+        # from the occupancy, even if the dataset stores distances: that spares reading them
         return distance_field(sample.occupancy, grid)
 
     def output(self, values: "Tensor") -> "Tensor":
-        """Not negative, not truncated."""
+        """Make distances that are not negative. They are not truncated."""
+        # truncated here, outputs beyond the truncation would have no gradient
         from torch.nn.functional import softplus
 
         return softplus(values)
@@ -158,6 +192,9 @@ class Tudf(Target):
             output: Distances, metres.
             batch: Holds `tudf`, and maybe `certain`.
             objective: See `Target.loss`.
+
+        Returns:
+            The weighted sum, and its terms without weights.
         """
         config, truth = objective.config, (batch["tudf"], batch.get("certain"))
         terms = {"regression": objective.regression_loss(output, *truth)}
@@ -168,7 +205,15 @@ class Tudf(Target):
         return config.tudf * total, terms
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
-        """Truncated."""
+        """Truncate distances as the truth is.
+
+        Args:
+            output: Distances, metres.
+            grid: The grid.
+
+        Returns:
+            Distances of the same shape, at most the truncation.
+        """
         return output.clamp(max=grid.truncation_m)
 
 
@@ -178,6 +223,9 @@ def target_called(name: str) -> Target:
 
     Args:
         name: Its name.
+
+    Returns:
+        The target, the same object on every call.
 
     Raises:
         ScenegenError: There is no such target, or it is something else.
@@ -191,8 +239,14 @@ def target_called(name: str) -> Target:
 
 
 def targets_of(names: Iterable[str]) -> dict[str, Target]:
-    """The targets called `names`, those that come with scenegen or module:Class, by their
-    `target_name`: occupancy first, then distances."""
+    """Make targets.
+
+    Args:
+        names: Names of targets that come with scenegen, or module:Class.
+
+    Returns:
+        Targets by `target_name`: occupancy first, then distances, then a user's own.
+    """
     targets = {target_name(name): target_called(name) for name in names}
     return {name: targets[name] for name in (*BUILT_IN, *targets) if name in targets}
 
@@ -204,6 +258,9 @@ def true_map(name: str, sample: Sample, grid: GridSpec) -> NDArray[Any]:
         name: Name of the target.
         sample: The sample.
         grid: Its grid.
+
+    Returns:
+        (*grid.shape) or (channels, *grid.shape).
 
     Raises:
         DatasetError: It is not a map of numbers.
@@ -217,7 +274,7 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
 
     Args:
         target: The target.
-        name: What errors call it.
+        name: Its name in errors.
         sample: The sample.
         grid: Its grid.
 
@@ -247,24 +304,28 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
         name: Name of the target.
         parts: Settings of the samples' parts of each dataset.
 
+    Returns:
+        The number.
+
     Raises:
-        DatasetError: The datasets do not agree, or lack what the target needs.
+        DatasetError: The datasets do not agree, or lack a part that the target needs.
     """
     channels = target_called(name).channels
     if not callable(channels):
         return channels
     try:
-        first, *others = [channels(settings) for settings in parts]
+        first, *further = [channels(settings) for settings in parts]
     except Exception as error:
         line = f"{type(error).__name__}: {short_repr(str(error))}"
         raise DatasetError(
             f"target {name}: finds no number of channels in the dataset's parts ({line}); is it "
             "one with --labels?"
         ) from None
-    if any(other != first for other in others):
+    # names are compared, too: of two datasets, channel 3 must be the same class
+    if any(channel != first for channel in further):
         raise DatasetError(
             f"target {name}: datasets differ in its channels, {short_repr(first)} and "
-            f"{short_repr(next(other for other in others if other != first))}; train on "
+            f"{short_repr(next(channel for channel in further if channel != first))}; train on "
             "datasets that "
             "share them"
         )

@@ -1,3 +1,3 @@
-"""What a completion is worth: reconstruction, planning on the completed map, statistics, and the
+"""Measures completions: reconstruction, planning on the completed map, statistics, and the
 report.
 """

@@ -58,7 +58,9 @@ def count_logits(
     Returns:
         (logits, 2): free and occupied voxels.
     """
+    # a histogram is all that the fit needs: a map has 256,000 voxels, and there may be thousands
     steps = (corrected_logit(probability[unknown], class_weight) + MAX_LOGIT) / LOGIT
+    # probabilities near 0 and 1 have logits beyond the bins, and go to the outermost ones
     at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
@@ -69,13 +71,18 @@ def fit_temperature(counts: Ints, powers: Floats) -> float:
     Args:
         counts: Counted logits of each map, (maps, logits, 2), see `count_logits`.
         powers: Exponent of the temperature on each map, (maps,).
+
+    Returns:
+        The temperature.
     """
 
     def loss(log_temperature: float) -> float:
+        # a power of T is a factor of log T
         scaled = LOGITS / np.exp(log_temperature * powers)[:, None]
         surprise = np.logaddexp(0, np.stack([scaled, -scaled], axis=2))
         return float((counts * surprise).sum())
 
+    # a search over the logarithm keeps the temperature positive
     return math.exp(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x)
 
 
@@ -96,7 +103,7 @@ class _Task(NamedTuple):
 
 
 class _Counted(NamedTuple):
-    """What is counted on one map."""
+    """Counts of one map, from which the calibration is computed."""
 
     dataset: int
     number: int
@@ -151,6 +158,7 @@ def calibrate(
     if len(set(digests)) < len(digests):
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
     for dataset in datasets:
+        # in a map of a real place, the truth of some of the voxels that are counted is unknown
         check_whole(dataset, "calibrate on drawn worlds")
         with reraise_as(DatasetError, f"{dataset.name}: "):
             method.check_grid(dataset.grid)
@@ -164,6 +172,7 @@ def calibrate(
     )
     shares = np.array([item.denied for item in maps])
     levels = np.quantile(shares, LEVELS).tolist()
+    # as `Calibration.chance` will apply it: unfamiliar maps have less of the temperature or none
     powers = familiar(away_of(shares, levels))
     fitted = Calibration(
         worlds=len({(item.dataset, item.world) for item in maps}),
@@ -189,13 +198,14 @@ def _class_weight(weights: str | Path, about: Json) -> float:
     )
 
 
-def _tasks(datasets: Sequence[AnyDataset], split: str, most: int | None) -> list[_Task]:
-    """All samples of a split, or `most` of each dataset, evenly spread. Raises DatasetError where
+def _tasks(datasets: Sequence[AnyDataset], split: str, limit: int | None) -> list[_Task]:
+    """All samples of a split, or `limit` of each dataset, evenly spread. Raises DatasetError where
     they are of too few worlds."""
     tasks, worlds = [], set()
     for number, dataset in enumerate(datasets):
         part = filled(dataset, split)
-        chosen = evenly(len(part), most or len(part))
+        chosen = evenly(len(part), limit or len(part))
+        # two datasets may both have a world 0
         worlds |= {(number, part.names[n][1]) for n in chosen}
         tasks += [_Task(number, dataset, rows) for rows in chunked(chosen, CHUNK)]
     if len(worlds) < MIN_WORLDS:

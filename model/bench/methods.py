@@ -1,6 +1,5 @@
-"""What the bench compares, by name: completers, the truth itself, and predictions that somebody
-else made, in an HDF5 file; and the threshold at which the occupancy that a method predicts fits the
-truth best, one rule for the bench and for training."""
+"""Rows of the bench, by name: completers, the truth itself, and predictions in HDF5 files. Chooses
+the best threshold of a method, too, by one rule for the bench and for training."""
 
 import inspect
 import math
@@ -64,11 +63,12 @@ class Method(Protocol):
 
 
 class Completed:
-    """A completer, shown nothing but what was seen."""
+    """A completer as a row of the bench. It sees the observations, and not the truth."""
 
     def __init__(self, completer: MapCompleter):
         name, complete = (getattr(completer, attribute, None) for attribute in ("name", "complete"))
         lacking = "a `name`, a string" if not isinstance(name, str) else ""
+        # before any sample is read: a typo in a signature would show only in a worker
         try:
             extras = extras_of(completer)
             signature: Any = inspect.signature(complete)  # type: ignore[arg-type]
@@ -101,9 +101,10 @@ class Completed:
         forget(self._completer)  # the maps of the bench are no sequence
         prediction = complete_seen(self._completer, SeenMap.of(sample), grid=grid, rng=rng)
         check_prediction(prediction, grid.shape, self.name, self.targets)
-        others = {name: plain(values) for name, values in prediction.others.items()}
+        # arrays of torch may be on a device; metrics compute in numpy
+        further = {name: plain(values) for name, values in prediction.others.items()}
         parts = {name: plain(getattr(prediction, name)) for name in PARTS}
-        return replace(prediction, **parts, others=others)
+        return replace(prediction, **parts, others=further)
 
 
 def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) -> list[Prediction]:
@@ -125,14 +126,21 @@ def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) ->
 
 
 class Truth:
-    """The truth as if it had been predicted: the ceiling, and what the planner itself loses."""
+    """The truth as if it had been predicted: the ceiling of any map, for one planner."""
 
     name = "truth"
     learned = False
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`."""
-        # whose transform is the distance
+        """See `Method.completion`.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+
+        Returns:
+            The true occupancy, whose transform is the distance.
+        """
         return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))
 
 
@@ -167,6 +175,7 @@ class Predicted:
         shape = dataset.grid.shape
         facts = {"dataset": str(dataset.digest), "split": split}
         check = partial(check_file, facts=facts, max_samples=len(names), shape=shape)
+        # a generous time for large splits: a million voxels a second
         seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
         counts = Counter[tuple[int, int]]()
         for path in self._files:
@@ -181,6 +190,7 @@ class Predicted:
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
         """File and row of every (split, world, viewpoint)."""
+        # by names and not by position: the rows of a file may be in any order
         rows: dict[tuple[str, int, int], tuple[Path, int]] = {}
         for path in self._files:
             with h5py.File(path, "r") as file:
@@ -204,10 +214,16 @@ class Predicted:
 
 
 def find_method(name: Any) -> Method:
-    """The row called `name`: a known one, or ``module:Class`` of a completer. A row is itself.
+    """Make a row of the bench.
 
-    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
-    protocol.
+    Args:
+        name: A known name, or ``module:Class`` of a completer; a row is returned as it is.
+
+    Returns:
+        The row.
+
+    Raises:
+        ScenegenError: There is no such method, or the completer does not keep the protocol.
     """
     if not isinstance(name, str):
         return name
@@ -331,7 +347,11 @@ def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:
         name: Field of `Thresholds`.
         ious: Mean IoU of each candidate, (candidates,).
         usual: The other thresholds; returned if all candidates are equal.
+
+    Returns:
+        `usual` with the chosen threshold in place of its own.
     """
+    # such as predictions of 0 and 1 only, on which no threshold is better than the usual one
     if np.ptp(ious) < 1e-12:
         return usual
     return replace(usual, **{name: float(CANDIDATES[name][int(ious.argmax())])})
@@ -353,11 +373,12 @@ def tune(method: Method, dataset: AnyDataset, thresholds: Thresholds) -> Thresho
     """
     split = dataset.split("val")
     rows, name = [], ""
+    # on val, so that no method is tuned on the maps that it is then judged by
     for index in evenly(len(split), MAX_TUNING_SAMPLES) if len(split) else ():
         sample = split[index]
         try:
             (completion,) = answers(method, sample, split, 0, index, draws=1)
-        except KeyError:  # a file that predicts the test split alone
+        except KeyError:  # a file that predicts only the test split
             return thresholds
         name = judged_by(completion)
         scored = scored_voxels(sample, dataset.grid, split.home(index).tables.world)

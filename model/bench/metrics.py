@@ -57,6 +57,7 @@ class Sums(NamedTuple):
         Returns:
             The share; 0 of nothing, and 1 where nothing is occupied and nothing predicted.
         """
+        # a map without obstacles that is predicted as such is right, and 0 / 0 would punish it
         nothing = self.hits + self.alarms + self.misses == 0
         return 1.0 if nothing else part / whole if whole else 0.0
 
@@ -118,7 +119,7 @@ class Metric:
 
     @property
     def scale(self) -> Scale:
-        """What its values are."""
+        """Kind of its values, which decides how intervals are computed."""
         return "outcome" if self.needs == "trial" else "amount" if self.unit else "share"
 
 
@@ -132,6 +133,7 @@ def surface(occupied: Mask, scored: Mask) -> Mask:
     Returns:
         (*shape): scored, occupied voxels with a scored, free voxel among their six neighbours.
     """
+    # voxels that do not count erode nothing, as those beyond the border: nobody knows what is there
     buried = ndimage.binary_erosion(occupied | ~scored, border_value=1)
     return occupied & scored & ~buried
 
@@ -151,6 +153,7 @@ def chamfer(scored_map: ScoredMap) -> float:
     count = sum(mask.any() for mask in surfaces)
     if count < 2:
         return count * float(np.linalg.norm(scored_map.grid.extent_m))
+    # from both sides, so that neither a surface too much nor one too few goes unnoticed
     voxels = sum(
         ndimage.distance_transform_edt(~far)[near].mean() / 2
         for near, far in (surfaces, surfaces[::-1])
@@ -243,6 +246,7 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
         entry, short = named(OWN_METRICS, name), name.rpartition(":")[2]
         if inspect.isclass(entry):
             entry = entry()
+        # its metrics are measured under the target's name, see `metrics_of`
         if isinstance(entry, Target):
             targets[target_name(name)] = entry
             continue
@@ -264,7 +268,13 @@ def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict
 
     Args:
         targets: Targets by name; a metric of theirs is called ``<target>_<metric>``.
-        names: A user's own metrics; see `find_metrics`, also for what this raises.
+        names: A user's own metrics; see `find_metrics`.
+
+    Returns:
+        The metrics by name.
+
+    Raises:
+        ScenegenError: As in `find_metrics`.
     """
     of_targets = {
         f"{target}_{name}": metric
@@ -311,8 +321,10 @@ def measure(
         classes,
         np.ones(classes.shape, bool) if certain is None else certain,
     )
+    # one compiled pass for all regions: metrics that do not need the map are functions of the sums
     _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
+    # NaN stays where a metric of whole maps has no value in a region
     values = np.full((len(rows), len(metrics)), NAN)
     for column, metric in enumerate(metrics.values()):
         if metric.needs == "map":
@@ -332,12 +344,13 @@ def _value(metric: Metric, scored_map: ScoredMap) -> float:
 
 @kernel
 def _accumulate(occupied, distance, true_occupancy, true_distance, classes, certain, sums):
-    """Add up, by class, what `Sums` names, in its order: a new sum goes to the end of both."""
+    """Add up the fields of `Sums` by class, in their order: a new sum goes to the end of both."""
     for v in range(len(classes)):
         if classes[v] >= len(sums):
             continue
         row = sums[classes[v]]
         error = float(distance[v]) - float(true_distance[v])
+        # in a real place, an unknown voxel may be nearer than the nearest known obstacle
         if certain[v]:
             row[0] += 1.0
             row[1] += error

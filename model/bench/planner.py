@@ -14,7 +14,7 @@ from scenegen.truth.difficulty import NO_RISK, search
 
 
 class Plan(NamedTuple):
-    """What a search gave: a path, or why there is none."""
+    """Result of a search: a path, or the reason why there is none."""
 
     waypoints: Floats | None
     """(n, 3): from the start to the goal, a node each, map frame, metres."""
@@ -74,6 +74,7 @@ class Lattice:
         point = np.asarray(point, float)
         if point.shape == (3,) and np.isfinite(point).all():
             steps = (point / self.grid.voxel_m - 0.5 - self.first) / self.step
+            # a point beside a node would be moved in silence, and the path end elsewhere
             node = np.rint(steps).astype(np.int64)
             inside = ((node >= 0) & (node < self.shape)).all()
             if inside and np.abs(self.centres(node) - point).max() <= 1e-6:
@@ -92,25 +93,36 @@ def plan_path(
     config: PlanConfig,
     risk: Field | None = None,
 ) -> Plan:
-    """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point,
-    map frame, metres.
+    """Find the shortest path through free nodes from the map's middle to a goal.
 
-    `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every
-    node has up to 26 neighbours, as far away as they are in space (the paper's section "Planning
-    Evaluation", and `Lattice`). With `config.edge_check`, and for the careful planner, the voxels
-    that the segment between two nodes meets with positive length must be free, too; for the careful
-    planner the start's own voxel need not be. The answer is exact, and the same on every run: of
-    two equally long ways to a node the first found stands, and of two nodes equally far by length
-    and estimate the farther from the start, then the lower number, comes first.
+    A node is free when its voxel is. Every node has up to 26 neighbours, as far away as they are in
+    space (the paper's section "Planning Evaluation", and `Lattice`). With `config.edge_check`, and
+    for the careful planner, the voxels that the segment between two nodes meets with positive
+    length must be free, too. For the careful planner the start's own voxel need not be.
 
-    With `risk` (*grid.shape), probabilities, an edge is longer by `config.risk_weight` times its
-    length times the mean risk of the voxels stepped on from node to node, the first left out.
+    The answer is exact, and the same on every run: of two equally long ways to a node the first
+    stands, and of two nodes equally far by length and estimate the farther from the start, then the
+    lower number, comes first.
 
-    Raises ValueError where `goal` is no node or the map's shape is not the grid's.
+    Args:
+        occupied: Binary collision map (*grid.shape).
+        goal: Point of a node (3,), map frame, metres.
+        grid: The grid.
+        config: The planner.
+        risk: Probabilities (*grid.shape). An edge is longer by `config.risk_weight` times its
+            length times the mean risk of the voxels stepped on from node to node, without the
+            first.
+
+    Returns:
+        The path, or the reason why there is none.
+
+    Raises:
+        ValueError: `goal` is not a node, or a map's shape is not the grid's.
     """
     occupied = checked(occupied, "occupied", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
     start, end = lattice.start, lattice.node_at(goal)
+    # a robot is where it is: the careful planner does not let a false obstacle there hold it
     if occupied[tuple(lattice.voxels(start))] and config.planner != "careful":
         return Plan(None, "start_blocked")
     if occupied[tuple(lattice.voxels(end))]:
@@ -137,6 +149,9 @@ def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
         name: Its name, for errors.
         grid: The grid.
         dtype: The type.
+
+    Returns:
+        The array, a copy only if it has to be.
 
     Raises:
         ValueError: Its shape is not the grid's.
@@ -202,6 +217,7 @@ def field_at(tudf, x, y, z, voxel_m):
     Returns:
         Value, metres, and gradient: (value, d/dx, d/dy, d/dz).
     """
+    # trilinear between the centres of eight voxels, with its exact gradient
     nx, ny, nz = tudf.shape
     i, u, in_x = _cell(x, voxel_m, nx)
     j, v, in_y = _cell(y, voxel_m, ny)
@@ -224,6 +240,7 @@ def _cell(at, voxel_m, count):
     """The voxel whose centre comes last before `at` along one axis, the way from there to the next
     centre, 0 to 1, and whether (1.0 or 0.0) the field changes with `at`: it does not beyond the
     outermost centres."""
+    # values are those of voxel centres, half a voxel from the faces
     steps = at / voxel_m - 0.5
     if steps <= 0.0:
         return 0, 0.0, 1.0 if steps == 0.0 else 0.0
@@ -258,6 +275,7 @@ def _cost(path, tudf, voxel_m, safety_m, weight, slope):
         slope[i, 0] += push * by_x
         slope[i, 1] += push * by_y
         slope[i, 2] += push * by_z
+    # the ends do not move, although the bends beside them pull at them
     slope[0] = 0.0
     slope[-1] = 0.0
     return total
@@ -269,27 +287,31 @@ def _descend(path, tudf, voxel_m, safety_m, weight, iterations):
     p|^2 at least."""
     path = path.copy()
     slope, ahead, trial = np.empty_like(path), np.empty_like(path), path.copy()
-    here = _cost(path, tudf, voxel_m, safety_m, weight, slope)
+    cost = _cost(path, tudf, voxel_m, safety_m, weight, slope)
     step = FIRST_STEP * SHRINK
     for _ in range(iterations):
+        # the last step held, so the next may try a longer one
         step /= SHRINK
         while True:
             moved = 0.0
             for i in range(1, len(path) - 1):
                 for axis in range(3):
+                    # projected, for beyond the outermost centres the field is constant
                     high = (tudf.shape[axis] - 0.5) * voxel_m
                     trial[i, axis] = min(
                         max(path[i, axis] - step * slope[i, axis], 0.5 * voxel_m), high
                     )
                     moved += (trial[i, axis] - path[i, axis]) ** 2
+            # a minimum, or every waypoint pressed against the box
             if moved == 0.0:
                 return path
-            there = _cost(trial, tudf, voxel_m, safety_m, weight, ahead)
-            if there <= here - ARMIJO / step * moved:
+            trial_cost = _cost(trial, tudf, voxel_m, safety_m, weight, ahead)
+            if trial_cost <= cost - ARMIJO / step * moved:
                 break
             step *= SHRINK
             if step < SHORTEST_STEP:
                 return path
+        # swapped and not copied: no array is allocated in the loop
         path, trial, slope, ahead = trial, path, ahead, slope
-        here = there
+        cost = trial_cost
     return path

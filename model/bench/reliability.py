@@ -28,21 +28,24 @@ REGIONS = ("map", "unobserved", "seen", "unseen")
 """Voxels of the whole map; the unknown ones among them; and of these, those whose nearest obstacle
 within the truncation returned something, and those whose nearest obstacle did not."""
 READINGS = ("said", "corrected", "calibrated")
-"""The probability as it was said; with the class weight of the loss inverted; and as the method's
-calibration has it, where there is one."""
+"""Probabilities as predicted; with the class weight of the loss inverted; and from the method's
+calibration, if there is one."""
 COUNTS = ("voxels", "said", "occupied", "nll", "brier")
-"""Sums over the voxels in a bin: how many, their probabilities, how many are occupied; the negative
-logarithms of what was said of that which is, and the squared errors."""
+"""Sums over the voxels in a bin: number, predicted probabilities, number of occupied voxels,
+negative logarithms of the probability of the true state, and squared errors."""
 SMALLEST = 1e-7
-"""What a probability of 0 counts as where its logarithm is taken."""
+"""Replaces a probability of 0 in logarithms: one voxel would make the mean infinite."""
 
 
 def count_map(prediction: Prediction, case: Case) -> Floats:
-    """Count the voxels of a sample's map by predicted probability, see `count`.
+    """Count the voxels of a sample's map by predicted probability.
 
     Args:
         prediction: A method's prediction.
         case: The sample.
+
+    Returns:
+        See `count`.
     """
     sample, grid = case.sample, case.grid
     probability, calibrated = prediction.occupancy_probability, prediction.probability
@@ -53,6 +56,7 @@ def count_map(prediction: Prediction, case: Case) -> Floats:
         distance_field(seen_occupancy(sample, case.split), grid),
         truncation_m=grid.truncation_m,
     )
+    # a method without a calibration does not say by which weight it was trained
     weight = getattr(prediction.calibration, "class_weight", CLASS_WEIGHT)
     readings = [] if probability is None else [probability, corrected(probability, weight)]
     readings += [] if calibrated is None else [calibrated]
@@ -60,7 +64,7 @@ def count_map(prediction: Prediction, case: Case) -> Floats:
 
 
 def regions(scored: Mask, unknown: Mask, true: Field, seen: Field, *, truncation_m: float) -> Mask:
-    """The voxels of each of `REGIONS`.
+    """Select the voxels of each of `REGIONS`.
 
     Args:
         scored: Voxels that count (*shape).
@@ -72,6 +76,7 @@ def regions(scored: Mask, unknown: Mask, true: Field, seen: Field, *, truncation
     Returns:
         (regions, *shape).
     """
+    # at the truncation, the true distance does not say which obstacle is nearest
     met = unknown & (true < truncation_m - 1e-6)
     return np.stack([scored, unknown, met & (seen <= true), met & (seen > true)])
 
@@ -103,6 +108,7 @@ def _count(probability, occupancy, inside, counts):
     parts, bins, _ = counts.shape
     for v in range(len(probability)):
         q = float(probability[v])
+        # a probability of 1 belongs to the last bin
         b = min(int(q * bins), bins - 1)
         right = q if occupancy[v] else 1.0 - q
         nll, brier = -math.log(max(right, SMALLEST)), (1.0 - right) ** 2
@@ -136,6 +142,7 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
             total = maps.sum(axis=0)
             if not total[:, 0].any():
                 continue
+            # over the voxels of all maps together: calibration errors are of bins, not of maps
             figures = {}
             for name in SCORES:
                 figure = estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
@@ -173,12 +180,12 @@ def _score(name: str, sums: Floats) -> Floats:
 
 
 SCORES = ("ece", "nll", "brier")
-"""What probabilities are judged by."""
+"""Scores of probabilities: calibration error, negative log-likelihood and Brier score."""
 
 
 def reliability_tables(by_method: Json) -> list[tuple[Any, ...]]:
-    """A table of `reliability` of every method by name, as (title, heads, rows); none without
-    probabilities."""
+    """Tabulate `reliability` of every method by name: (title, heads, rows), one table; none if no
+    method gives probabilities."""
     rows = []
     for name, by_region in by_method.items():
         for region, readings in (by_region or {}).items():

@@ -42,7 +42,7 @@ def summaries(
     region: int = 0,
     chosen: Any = True,
 ) -> Json:
-    """Summarise metrics, see `summarise`.
+    """Summarise metrics.
 
     Args:
         method: The method.
@@ -50,6 +50,9 @@ def summaries(
         metrics: The metrics by name.
         region: Row of `MethodResult.reconstruction`, for metrics of maps.
         chosen: Mask of trials (trials,), for metrics of trials; True: all.
+
+    Returns:
+        Figures by metric, see `summarise`.
     """
     return {
         name: summarise(
@@ -72,12 +75,13 @@ def reconstruction_of(method: MethodResult, result: DatasetResult) -> Json:
         Means over the whole map at the usual thresholds, by metric, and variants under keys of
         their own.
     """
-    # others have no value in a part of a map
+    # metrics of whole maps have no value in a part of one
     in_parts = {name: metric for name, metric in result.metrics.items() if metric.needs != "map"}
     unobserved, *by_class = (
         summaries(method, result, in_parts, region) for region in range(1, len(CLASSES) + 2)
     )
     whole_map, tuned = (summaries(method, result, result.metrics, row) for row in (0, -1))
+    # only of methods that draw; the truth chooses it, so it stands apart from all other figures
     best = {}
     if method.best is not None:
         over_best = replace(method, reconstruction=method.best[:, None])
@@ -106,7 +110,8 @@ def planning_of(method: MethodResult, result: DatasetResult) -> Json:
     methods = result.methods.values()
     learned = [method for method in methods if method.learned] or methods
     succeeded = [trial.success for trial in method.trials]
-    # (learned methods, trials)
+    # (learned methods, trials). Lengths and clearances of two methods can be compared only on the
+    # same trials: one that fails the hard ones would have the shorter paths
     all_succeeded = [[trial.success for trial in method.trials] for method in learned]
     causes = (trial.cause for trial in method.trials if trial.cause is not None)
     unmarked = {}
@@ -143,6 +148,7 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
         for name, metric in metrics.items()
         if region in metric.tested and (region != "unmarked" or result.marks_unknown)
     ]
+    # the same samples and goals for both, so differences are paired
     rows = []
     for (first, first_result), (second, second_result) in combinations(result.methods.items(), 2):
         for region, name in tested:
@@ -165,6 +171,7 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
                     "p": paired_p(a, b, worlds, rng=rng),
                 }
             )
+    # some hundred tests: without a correction, a few would be significant by chance
     for row, corrected in zip(rows, holm([row["p"] for row in rows]).tolist(), strict=True):
         row["p_holm"] = corrected
     return rows
@@ -178,7 +185,7 @@ TUNED = (
     "bracketed the paper's Table II or came near it (docs/results/calibration.md), so agreement "
     "with that table is in part by construction."
 )
-"""What must stand beside the paper's figures, wherever they are printed."""
+"""Caution that stands beside the paper's figures, wherever they are printed."""
 BEST_IOU = "best_iou"
 """A column of the tables."""
 BEST_DRAW = "best_of_draws"
@@ -193,7 +200,7 @@ CAUSES = {
     "initial_collides": "hits an obstacle",
     "refined_into_obstacle": "refined into an obstacle",
 }
-"""What came of a path, by the bench's causes of failure."""
+"""Results of a path in words, by the bench's causes of failure."""
 
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) -> Json:
@@ -215,6 +222,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     parts = ("reconstruction", "planning", "tests", "datasets")
     report = {**about, **{part: {} for part in parts}}
     for result in results:
+        # anew for each kind, so that its p-values do not depend on the other datasets
         rng = np.random.default_rng(seed)
         first = next(iter(result.methods.values()))  # whose trials have the goals of all
         methods, partly = result.methods.items(), ""
@@ -259,12 +267,12 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
 
 
 def notes(about: Json) -> list[str]:
-    """What a reader must know of the figures of one of the report's `datasets`."""
+    """Cautions about the figures of one of the report's `datasets`."""
     return [line for line in (about["note"], caution(about["worlds"])) if line]
 
 
 def trial_counts(about: Json) -> str:
-    """How many trials one of the report's `datasets` has, of which kind."""
+    """Describe the trials of one of the report's `datasets`: their number by kind."""
     blocked = about["blocked_lines"]
     return (
         f"{about['trials']} planning trials: on {blocked} an obstacle blocks the straight line to "
@@ -273,7 +281,7 @@ def trial_counts(about: Json) -> str:
 
 
 def finite(value: Any) -> Any:
-    """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
+    """Replace numbers that are NaN or infinite by None, in a tree of dicts and lists."""
     if isinstance(value, Mapping):
         return {name: finite(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -297,6 +305,7 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     metrics, usual = dict[str, Metric](), asdict(Thresholds())
     about = report["datasets"][kind]
     entries = about.get("metrics", {}).items()
+    # a user's own metrics are shown by the report's entries: their code need not be at hand
     further = {name: Metric(of=_unknown, **entry) for name, entry in entries}
     for name, metric in {**METRICS, **further}.items():
         metrics[name] = metric
@@ -317,7 +326,7 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     if not any("unmarked" in row for row in planning.values()):
         yield "planning", PLAN_METRICS, planning, paper
         return
-    # in real places, success depends on where the map ends; hits of known obstacles do not
+    # in real places, success depends on the map's end; hits of known obstacles do not
     metrics = {"hits": PLAN_METRICS["hits"], **PLAN_METRICS}
     unmarked = {name: row["unmarked"] for name, row in planning.items()}
     yield "planning, known space not marked", metrics, unmarked, paper
@@ -325,7 +334,7 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
 
 
 def _unknown(scored_map: ScoredMap) -> float:
-    """A metric of which a report tells how it is shown, and not how it is computed."""
+    """Stand for a metric of a user's own: a report holds its title, but not its code."""
     raise NotImplementedError
 
 
@@ -383,7 +392,7 @@ def _introduction(about: Json) -> str:
 
 
 def _failures(planning: Json) -> Table:
-    """How many trials of each method failed from which of the `CAUSES` that there are."""
+    """Tabulate failed trials of each method by cause. Causes without a trial are left out."""
     rows = {method: row["failures"] for method, row in planning.items()}
     causes = [cause for cause in CAUSES if any(cause in row for row in rows.values())]
     return Table(
@@ -394,7 +403,7 @@ def _failures(planning: Json) -> Table:
 
 
 def _paired_tests(tests: Sequence[Json]) -> Table:
-    """The differences that `_tests` found, a row each."""
+    """Tabulate the results of `paired_tests`, a row each."""
     rows = []
     for test in tests:
         difference = "–"
@@ -412,7 +421,11 @@ def best(rows: Json, name: str, metric: Metric) -> set[str]:
         rows: Figures by method and metric.
         name: Name of the metric.
         metric: The metric.
+
+    Returns:
+        Names of methods; several, if their printed means are equal.
     """
+    # as printed: a difference that no reader sees marks nobody as the best
     means = {
         method: round(row[name]["mean"], 3)
         for method, row in rows.items()
@@ -425,7 +438,7 @@ def best(rows: Json, name: str, metric: Metric) -> set[str]:
 
 
 def to_markdown(report: Json) -> str:
-    """The report as Markdown."""
+    """Write the report as Markdown."""
     about = [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
     parts = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
@@ -442,6 +455,9 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -
     Args:
         report: From `build_report`.
         pictures: Charts and failures by kind: a caption and a WebP image each.
+
+    Returns:
+        The page, pictures included: it fetches nothing.
     """
     about = "".join(
         f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"

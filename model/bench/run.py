@@ -119,16 +119,16 @@ class DatasetResult:
 
     @property
     def marks_unknown(self) -> bool:
-        """Whether these are maps of real places, with trials of `MethodResult.unmarked`."""
+        """True for maps of real places, planned twice: see `MethodResult.unmarked`."""
         return any(method.unmarked for method in self.methods.values())
 
     def worlds_of(self, metric: str) -> Ints:
-        """The worlds of what `MethodResult.values` gives."""
+        """Worlds of the values that `MethodResult.values` returns for a metric."""
         return self.trial_worlds if metric in PLAN_METRICS else self.worlds
 
 
 class _MethodOnSample(NamedTuple):
-    """What one method gave on one sample; see `MethodResult`."""
+    """Results of one method on one sample; see `MethodResult`."""
 
     reconstruction: Floats
     """(3 + classes, metrics)"""
@@ -141,7 +141,7 @@ class _MethodOnSample(NamedTuple):
 
 
 class _SampleResult(NamedTuple):
-    """What all methods gave on one sample."""
+    """Results of all methods on one sample."""
 
     number: int
     """The sample's in its split."""
@@ -158,7 +158,7 @@ def check_middle(
 
     Args:
         dataset: The dataset.
-        instead: What errors advise.
+        instead: Advice that ends the error's message.
 
     Raises:
         DatasetError: They lie elsewhere.
@@ -176,7 +176,7 @@ def check_whole(dataset: AnyDataset, instead: str) -> None:
 
     Args:
         dataset: The dataset.
-        instead: What errors advise.
+        instead: Advice that ends the error's message.
 
     Raises:
         DatasetError: These are maps of real places.
@@ -194,6 +194,9 @@ def filled(dataset: AnyDataset, split: str) -> Split:
     Args:
         dataset: The dataset.
         split: Name of the split.
+
+    Returns:
+        The split.
 
     Raises:
         DatasetError: It is empty.
@@ -219,11 +222,14 @@ def bench(
     Args:
         dataset: The dataset.
         methods: The methods.
-        config: What is measured.
+        config: Figures to measure, and on how many samples and trials.
         kind: Measure only samples of this kind of worlds.
         execute: Measures a few samples at a time.
         on_start: Called with the number of samples once the work has begun.
         on_done: Called with the number of samples of each part that is done.
+
+    Returns:
+        The results of all methods.
 
     Raises:
         DatasetError: The split is empty, or `execute` leaves samples to other processes: a report
@@ -240,6 +246,7 @@ def bench(
     numbers = [of_kind[n] for n in evenly(len(of_kind), config.samples or len(of_kind))]
     tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
+    # here and not in the workers: each would complete the validation maps again
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     targets = measured_targets(methods, config, split, numbers[0])
     metrics = metrics_of(targets, config.metrics)
@@ -247,6 +254,7 @@ def bench(
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
     work = partial(_bench_samples, dataset, methods, tuned, targets, trials_each, config)
     chunks = counted(execute, work, tasks, total=len(numbers), on_start=on_start, on_done=on_done)
+    # in the split's order, whichever worker was first: reports are the same on every machine
     samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
     # (trial's number within its sample, sample): first trials come first, so that a cut to the
     # number asked for leaves all samples about as many
@@ -281,7 +289,10 @@ def measured_targets(
         methods: Methods, whose targets count as far as the dataset has their truth.
         config: Names further targets.
         split: The split.
-        index: Number of a sample, which shows what the dataset has.
+        index: Number of a sample by which the dataset's arrays are known.
+
+    Returns:
+        Targets by name, those with metrics only.
 
     Raises:
         DatasetError: The dataset lacks the truth of a named target.
@@ -293,6 +304,7 @@ def measured_targets(
     measured = dict[str, Target]()
     for name, target in (targets | named).items():
         if target.metrics:
+            # a method may predict more than the dataset has; what the user names, it must have
             try:
                 truth_of(target, name, sample, grid)
             except ScenegenError as error:
@@ -342,7 +354,7 @@ def bench_all(
     Args:
         datasets: The datasets.
         methods: The methods.
-        config: What is measured.
+        config: Figures to measure, and on how many samples and trials.
         execute: Measures a few samples at a time.
         on_start: Called for each kind, see `bench`.
         on_done: Called for each kind, see `bench`.
@@ -351,6 +363,7 @@ def bench_all(
         DatasetError: A file of predictions is not of all datasets, two datasets have samples of one
             kind, or as in `bench`.
     """
+    # before hours of work: a file of predictions may lack the last dataset
     check_rows(methods, datasets, config.split)
     tables = [
         (dataset, kind)
@@ -394,6 +407,7 @@ def _bench_samples(
     for index in rows.numbers:
         sample = split[index]
         case = Case(sample, index, split)
+        # by seed and sample, so that goals do not depend on how samples are shared out
         drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
         truth = true_maps(case, targets)
         results = [
@@ -433,6 +447,9 @@ def scored_map(
         case: The sample.
         truth: From `true_maps`.
         at: Thresholds of the prediction.
+
+    Returns:
+        The pair, without the voxels that do not count.
     """
     return ScoredMap(
         prediction=prediction,
@@ -460,7 +477,15 @@ def _bench_method(
     drawn = answers(method, sample, case.split, config.seed, case.index, draws=config.draws)
 
     def scores(prediction: Prediction, at: Thresholds) -> Floats:
-        """(2 + classes, metrics) of the map at some thresholds."""
+        """Measure the map at some thresholds.
+
+        Args:
+            prediction: The prediction.
+            at: Its thresholds.
+
+        Returns:
+            (2 + classes, metrics), see `measure`.
+        """
         return measure(
             scored_map(prediction, case, truth, at),
             metrics,
@@ -488,6 +513,7 @@ def _bench_method(
 def _over_draws(tables: Floats, metrics: Mapping[str, Metric]) -> tuple[Floats, Floats]:
     """Return the means over draws of (draws, rows, metrics), without NaN, as (rows, metrics), and
     of the first row each metric's best draw, (metrics,)."""
+    # a draw may have nothing to measure where another has
     masked = np.ma.masked_invalid(tables)
     distances = {"higher": np.negative, "lower": np.positive, "nearer to 0": np.abs}
     best = np.full(len(metrics), np.nan)
@@ -509,6 +535,9 @@ def plan_all(
         goals: (trials, 3), map frame, metres.
         config: Thresholds and planner.
         marked: See `planner_maps`.
+
+    Returns:
+        A measurement of each trial.
     """
     occupied, distance, risk = planner_maps(prediction, case, config, marked=marked)
     sample, grid, plan = case.sample, case.grid, config.plan
@@ -550,8 +579,10 @@ def planner_maps(
     if careful:
         at = replace(at, probability=plan.careful_probability)
     occupied, distance = prediction.occupied(at), prediction.distance(at, grid)
+    # by it, methods that predict distances and those that do not are refined alike
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
+    # the planner is shown where the place ends, which no method can know
     if marked:
         occupied, distance = walled(occupied, distance, sample.known, grid)
     seen = sample.observed | sample.free
@@ -566,6 +597,9 @@ def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator
         plan: The planner.
         count: How many.
         rng: Random numbers.
+
+    Returns:
+        The trials.
     """
     world = case.split.home(case.index).tables.world  # those from MJCF files have no box
     origin = case.sample.origin

@@ -1,5 +1,5 @@
-"""What methods say of a sample, and the paths that the bench plans on it, as they are shown;
-pictures of trials that failed, and charts.
+"""Predictions of a sample and the bench's paths on them, for viewers; pictures of failed trials;
+charts.
 """
 
 import dataclasses
@@ -49,6 +49,7 @@ def guesses(
     """
     case, goal = Case(split[index], index, split), None
     if trial is not None:
+        # trials are drawn one after the other, so the first so many are those of the bench
         goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
         goal = goals[trial] if len(goals) > trial else None
     guessed = []
@@ -85,6 +86,9 @@ def route_to(
         risk: Risk of every voxel for the careful planner, or None.
         case: The sample.
         config: The planner.
+
+    Returns:
+        The route in the world's frame, with its outcome in words.
     """
     origin, grid = case.sample.origin, case.grid
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
@@ -108,10 +112,14 @@ WIDE = 900
 
 
 def failing(result: DatasetResult) -> tuple[str, list[int]]:
-    """The learned method that succeeds most often, and trials of different worlds in which its path
-    meets an obstacle.
+    """Select failures to draw.
 
-    "" and none where no method is learned.
+    Args:
+        result: All methods on a dataset.
+
+    Returns:
+        The learned method with the most successes, and trials of different worlds in which its path
+        meets an obstacle; "" and [] if no method is learned.
     """
     learned = {name: method for name, method in result.methods.items() if method.learned}
     if not learned:
@@ -120,6 +128,7 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
     worlds: dict[int, int] = {}
     for n, trial in enumerate(learned[name].trials):
         if trial.hit is not None:
+            # one a world: failures beside each other would look alike
             worlds.setdefault(int(result.trial_worlds[n]), n)
     return name, list(worlds.values())[:MAX_FAILURES]
 
@@ -143,6 +152,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     name, trials = failing(result)
     pictures = []
     for n in trials:
+        # predicted again: a result keeps no maps
         index, turn = result.trial_places[n]
         of_trial = partial(guesses, learned, result.config, turn)
         look = look_into(result.dataset.split(result.config.split), index, of_trial)
@@ -187,9 +197,11 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
             axes = figure.subplots()
             for method, metric in dots.items():
                 ends = None if metric["low"] is None else [metric["low"], metric["high"]]
+                # one world has no interval: a line of no length
                 axes.plot(ends or [metric["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
                 axes.plot(metric["mean"], plain(method)[:24], "o", color=MAP)
             axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
+            # in the order of the table, from top to bottom
             axes.invert_yaxis()
             axes.grid(axis="x")
             _, comma, best_draws = table.partition(", each")

@@ -15,7 +15,7 @@ from lidarsim.grid import Floats
 from scenegen.base.files import Json
 
 Scale = Literal["amount", "share", "outcome", "gain"]
-"""What values are: any numbers; shares of something, in [0, 1]; successes and failures, 1 and 0; or
+"""Kind of values: any numbers; shares of something, in [0, 1]; successes and failures, 1 and 0; or
 differences of these."""
 LEVEL = 0.95
 """The share of intervals that hold the true mean: `benchmarks/intervals.py`."""
@@ -29,7 +29,7 @@ tests."""
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What samples say of all worlds that could have been drawn."""
+    """Estimate of a figure over all worlds that could have been drawn, with its error."""
 
     value: float
     error: float
@@ -72,14 +72,19 @@ def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats])
         sums: Sums of each sample, (N, k).
         worlds: Its world, (N,).
         of: Function from sums (draws, k) to values (draws,).
+
+    Returns:
+        The estimate.
     """
     _, member = np.unique(worlds, return_inverse=True)
     totals = np.zeros((member.max(initial=-1) + 1, np.shape(sums)[1]))
     np.add.at(totals, member, np.asarray(sums, float))
+    # a world without a value tells nothing, and would count as a degree of freedom
     totals = totals[totals.any(axis=1)]
     count, whole = len(totals), totals.sum(axis=0)
     value = float(of(whole[None])[0])
     if count < 2:
+        # one world says nothing of how worlds differ
         return Estimate(value=value, error=math.nan, freedom=1)
     without = of(whole - totals)
     error = math.sqrt((count - 1) / count * float(((without - value) ** 2).sum()))
@@ -87,13 +92,17 @@ def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats])
 
 
 def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
-    """The mean of a metric with its interval, as JSON holds it, from `values` (N,) of samples from
-    `worlds` (N,); NaN values are left out.
+    """Summarise a metric: its mean with an interval, as JSON holds it.
 
     Intervals of shares and outcomes are symmetric in log-odds, so that they stay in [0, 1] and
     cover where a few worlds are far harder than the rest. Outcomes of a few trials can be all alike
     by chance: there the error is at least that of independent trials of which one more went the
     other way.
+
+    Args:
+        values: Values of samples, (N,); NaN values are left out.
+        worlds: The samples' worlds, (N,).
+        scale: Kind of the values.
 
     Returns:
         ``mean``; ``std`` of the samples (n - 1 in its denominator, None of one), their spread and
@@ -112,6 +121,7 @@ def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> 
     mean, reach = estimated.value, estimated.reach
     low, high = estimated.ends
     if low is not None and high is not None:
+        # ten successes in ten trials have no spread, and are no proof that the next succeeds
         if scale in ("outcome", "gain"):
             reach = max(reach, math.sqrt(float(((chosen - mean) ** 2).sum()) + 1) / count)
             low, high = mean - reach, mean + reach
@@ -119,13 +129,14 @@ def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> 
         middle = (chosen.sum() + 0.5) / (count + 1) if scale == "outcome" else mean
         if scale in ("share", "outcome") and 0 < middle < 1:
             ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))
+            # `middle` is drawn towards a half, so an end could pass the mean
             low, high = min(float(ends[0]), mean), max(float(ends[1]), mean)
     std = float(chosen.std(ddof=1)) if count > 1 else None
     return {"mean": mean, "std": std, "low": low, "high": high, "n": count}
 
 
 def caution(worlds: int) -> str:
-    """What is to be said of intervals over so many worlds; nothing where they are enough."""
+    """Caution about intervals over so many worlds; "" if these are enough."""
     if worlds >= FEW_WORLDS:
         return ""
     counted = f"{worlds} world{'s' * (worlds != 1)}"
@@ -157,13 +168,15 @@ def paired_p(
     sums = np.bincount(member, weights=difference[held])
     observed = abs(sums.sum())
     flipped = np.abs((rng.integers(2, size=(FLIPS, len(sums)), dtype=np.int8) * 2.0 - 1.0) @ sums)
+    # the observed signs count as one flip, so p is never 0; and rounding must not break ties
     return float((1 + (flipped >= observed * (1 - 1e-12)).sum()) / (1 + FLIPS))
 
 
 def holm(p_values: ArrayLike) -> Floats:
-    """P-values (m,) corrected for their number (Holm 1979)."""
+    """Correct p-values (m,) for their number (Holm 1979)."""
     values = np.asarray(p_values, float)
     order = np.argsort(values)
+    # the least of m is multiplied by m, the next by m - 1; none may fall below one before it
     stepped = np.maximum.accumulate(values[order] * (len(values) - np.arange(len(values))))
     corrected = np.empty_like(values)
     corrected[order] = np.minimum(stepped, 1.0)
@@ -176,7 +189,7 @@ def _mean(sums: Floats) -> Floats:
 
 
 def cell(metric: Json) -> str:
-    """What `summarise` gave: mean, standard deviation, interval, and threshold; a dash where
+    """Write a result of `summarise`: mean, standard deviation, interval, and threshold; a dash if
     nothing was measured."""
     if not metric["n"]:
         return "–"
@@ -194,7 +207,7 @@ def brief(metric: Json, form: str = ".3f") -> str:
 
 
 def threshold(metric: Json) -> str:
-    """At which threshold a metric was measured, where that is the method's own."""
+    """Write the threshold of a metric; "" if it is the usual one."""
     return f" at {metric['at']}" if metric.get("at") else ""
 
 

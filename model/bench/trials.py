@@ -49,6 +49,9 @@ def draw_trials(
         count: How many goals; fewer if there are not as many.
         rng: Random numbers.
         bounds: Corners of the world in the map frame, (2, 3), metres; goals lie between them.
+
+    Returns:
+        The goals, and how many draws were excluded.
     """
     truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
@@ -60,6 +63,7 @@ def draw_trials(
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
     goals: list[Floats] = []
     excluded = Counter[str]()
+    # goals depend on the truth and not on a method, so all methods have the same trials
     for goal in candidates[rng.permutation(len(candidates))]:
         if len(goals) == count:
             break
@@ -83,7 +87,7 @@ RATHER = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What a trial gave. Lengths and clearances are NaN where no path was found."""
+    """Result of a trial. Lengths and clearances are NaN where no path was found."""
 
     success: bool
     """A path was found, and no point of it, sampled every `SAMPLE_M`, lies in an occupied voxel of
@@ -142,6 +146,9 @@ def run_trial(
         grid: The grid.
         config: The planner.
         risk: See `plan_trial`.
+
+    Returns:
+        The measurement.
     """
     planned = plan_trial(occupied_pred, tudf_pred, risk, goal, grid, config)
     return judge(*planned, occupancy_truth, tudf_truth, grid)
@@ -157,10 +164,10 @@ def plan_trial(
 ) -> tuple[Plan, Floats | None]:
     """Plan on predicted maps: A*, then refinement.
 
-    The careful planner keeps to what it knows: A* asks that edges be free, too; the start's own
-    voxel is, for a robot is there; and where the refined path meets an occupied voxel that A*'s
-    does not, A*'s stands. With a risk, A* weighs ways by it, and its path stands, too, where the
-    refined one meets another voxel that is rather occupied than not.
+    For the careful planner, edges must be free in A*, too, and the start's own voxel always is, for
+    a robot is there. It uses A*'s path unrefined if the refined one meets an occupied voxel that
+    A*'s does not. With a risk, A* weighs ways by it, and its path is also used if the refined one
+    meets another voxel that is rather occupied than not.
 
     Args:
         occupied: Collision map (*grid.shape).
@@ -179,6 +186,7 @@ def plan_trial(
     path = refine(plan.waypoints, tudf, grid, config)
     if config.planner == "careful":
         avoided = occupied if risk is None else occupied | (risk > RATHER)
+        # only voxels that the refinement added: A* may have had to pass the others
         entered = np.setdiff1d(met(path, grid), met(plan.waypoints, grid), assume_unique=True)
         if avoided.reshape(-1)[entered].any():
             return plan, plan.waypoints
@@ -201,6 +209,9 @@ def judge(
         tudf_truth: True distances (*grid.shape), metres.
         grid: The grid.
 
+    Returns:
+        The measurement.
+
     Raises:
         ValueError: The path leaves the map, beyond which there is no truth.
     """
@@ -217,6 +228,7 @@ def judge(
     met_m = map_coordinates(distance, points.T / grid.voxel_m - 0.5, np.float64, 1, mode="nearest")
     length_m = float(gaps.sum())
     hits = tuple(dict.fromkeys(voxels[truth[voxels]].tolist()))
+    # A*'s path tells which to blame: the predicted map, or the refinement
     cause = None
     if hits:
         collides = truth[met(initial, grid)].any()
@@ -234,7 +246,7 @@ def judge(
 def line_blocked(
     occupancy_truth: Mask, goal: ArrayLike, grid: GridSpec, config: PlanConfig
 ) -> bool:
-    """Whether the straight line from the start to a goal meets an occupied voxel of the truth.
+    """Check if the straight line from the start to a goal meets an occupied voxel of the truth.
 
     The rule is that of `Measurement.success`.
 
@@ -243,6 +255,9 @@ def line_blocked(
         goal: (3,), map frame, metres.
         grid: The grid.
         config: The planner.
+
+    Returns:
+        True if it meets one.
     """
     lattice = Lattice(grid, config.step_voxels)
     line = np.stack([lattice.centres(lattice.start), np.asarray(goal, float)])
@@ -250,10 +265,15 @@ def line_blocked(
 
 
 def stations(path: Floats) -> tuple[Floats, Floats]:
-    """The points (m, 3) at which a path (n, 3) is judged: its waypoints and, between two, equally
-    spaced ones at most `SAMPLE_M` apart; and the gaps (m - 1,) between them, metres."""
+    """Return the points at which a path (n, 3) is judged.
+
+    Returns:
+        Its waypoints and, between two, equally spaced ones at most `SAMPLE_M` apart, (m, 3); and
+        the gaps between them, (m - 1,), metres.
+    """
     legs = np.diff(path, axis=0)
     reach = np.linalg.norm(legs, axis=1)
+    # a gap of just `SAMPLE_M` is not split for a rounding error
     pieces = np.maximum(np.ceil(reach / SAMPLE_M - 1e-9), 1).astype(np.int64)
     parts = [
         path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None]
@@ -306,6 +326,7 @@ def risk_of(
     Returns:
         (*grid.shape): a probability.
     """
+    # of a method that predicts distances only, risks where a ray went are 1 and 0
     chance = prediction.occupancy_probability
     risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
     return np.where(seen, risk, np.maximum(risk, np.float32(config.unseen_risk)))

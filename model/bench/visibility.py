@@ -1,4 +1,4 @@
-"""Which part of a map was seen how, and what the sensor had a chance to know."""
+"""Classes of voxels by how they were seen, and the obstacles that returned something."""
 
 import dataclasses
 from functools import cached_property, lru_cache
@@ -77,9 +77,10 @@ def classify(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
     )
     six = ndimage.generate_binary_structure(3, 1)
-    # beyond the map counts as occupied
+    # beyond the map counts as occupied: otherwise a wall at the border would have no interior
     inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)
     classes[inside] = CLASSES.index("interior")
+    # later lines win: a voxel that a ray crossed is seen, however solid its surroundings
     classes[sample.free] = CLASSES.index("crossed")
     classes[sample.observed] = CLASSES.index("observed")
     if scored is not None:
@@ -89,8 +90,8 @@ def classify(
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One sample, and what every method is measured by on it, made when it is first asked for.
-    Maps are (*grid.shape)."""
+    """A sample with the truth and the classes that all methods are measured by, computed once, when
+    first used. Maps are (*grid.shape)."""
 
     sample: Sample
     index: int
@@ -115,8 +116,8 @@ class Case:
 
     @cached_property
     def truth(self) -> tuple[Mask, Field]:
-        """The ground truth that paths are judged by, in which what is not known is as solid as what
-        is occupied; and its distance field, metres."""
+        """Ground truth for paths, in which unknown voxels are as solid as occupied ones; and its
+        distance field, metres."""
         sample = self.sample
         return walled(sample.occupancy, sample.tudf, sample.known, self.grid)
 
@@ -124,15 +125,25 @@ class Case:
 class Seen:
     """The truth of the obstacles that returned something, as if it had been predicted.
 
-    It is no upper bound. Of the other obstacles it has nothing, where a network can guess what
-    is usual in such worlds: walls of the next room, say."""
+    It is no upper bound: it lacks all other obstacles, of which a network can guess those that are
+    usual in such worlds, such as walls of the next room."""
 
     name = "seen"
     learned = False
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises DatasetError where the sample's world cannot be
-        compiled."""
+        """See `Method.completion`.
+
+        Args:
+            sample: The sample.
+            split: Its split.
+
+        Returns:
+            The occupancy of these obstacles, whose transform is the distance.
+
+        Raises:
+            DatasetError: The sample's world cannot be compiled.
+        """
         return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
 
 
@@ -158,6 +169,7 @@ def seen_occupancy(sample: Sample, split: Split) -> Mask:
     scans = sample.scans()
     origins = np.array([scan.pose.position for scan in scans])
     directions = np.array([scan.directions for scan in scans])
+    # rays without a stored return are dropped below: noise and range may have taken them
     hits = engine.hits(origins, directions, scans[0].lidar.max_range_m)
     geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
     return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)
@@ -169,7 +181,11 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
     Args:
         solids: The solids.
         geoms: Numbers of the geoms to keep, (k,).
+
+    Returns:
+        The solids of these geoms.
     """
+    # primitives come first in `geom`, then meshes, whose triangles lie one after the other
     chosen = np.isin(solids.geom, geoms)
     plain, meshes = np.split(chosen, [len(solids.shape)])
     sizes = np.diff(solids.mesh_start)
@@ -189,7 +205,7 @@ def some_of(solids: Solids, geoms: ArrayLike) -> Solids:
 
 @lru_cache(maxsize=2)  # the samples of a world come one after the other
 def _world(dataset: AnyDataset, split: str, number: int) -> tuple[Solids, AnalyticEngine]:
-    """The solids of an archived world, and what casts rays in it."""
+    """Compile an archived world: its solids, and the engine that casts rays in it."""
     solids = solid(dataset.compile(split, number), f"{split} world {number}").solids
     return solids, AnalyticEngine(solids, threads=1)
 
@@ -205,6 +221,7 @@ def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
     Returns:
         (*grid.shape).
     """
+    # rays that end nowhere reach every voxel in view
     endless = [
         Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
         for scan in sample.scans(sensor)

@@ -40,12 +40,12 @@ from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
 MAX_DIFFERENCE = 300
-"""Characters that are said of how two sensors differ."""
+"""Length at which the description of how two sensors differ is cut, characters."""
 TRAINING = "in training", "here"
-"""What the two sides of a difference are called: what a network learned from, and its input."""
+"""Names of the two sides of a difference: the data of the training, and the input."""
 Maps: TypeAlias = NDArray[Any] | Tensor
 NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
-"""What a run's folder, or a repository, calls its network."""
+"""Names of a network's file in a run's folder or a repository."""
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -60,9 +60,9 @@ class Completer:
     name: str
     """How the network is called in tables, in one line."""
     inputs: tuple[str, ...]
-    """What it has to be shown of a map: names of `scenegen.model.inputs`."""
+    """Names of the channels that it takes; see `scenegen.model.inputs`."""
     about: Json
-    """What is known of its training: settings, versions, validation figures."""
+    """Metadata of its training: settings, versions, validation figures."""
     batch: int
     """How many maps are completed at once, at most."""
     threads: int
@@ -70,7 +70,7 @@ class Completer:
     opened: tuple[str, str, int]
     """Name, device and batch, by which `opened_once` has it in other processes."""
     targets: Mapping[str, Target]
-    """What it predicts, by `target_name`."""
+    """Its targets, by `target_name`."""
     draws: bool = False
     """Whether its answers are drawn: a network of one's own that says ``draws = True``."""
     learned = True
@@ -79,7 +79,7 @@ class Completer:
         self.batch = check_int("batch =", self.batch, 1, MAX_BATCH)
         with reraise_as(CheckpointError, f"{self.name}: "):
             self.calibration = Calibration.of(self.about)
-            """What tells how sure a prediction is; None for a network that was not calibrated."""
+            """Source of calibrated probabilities; None for a network that was not calibrated."""
 
     @classmethod
     def from_pretrained(
@@ -103,6 +103,9 @@ class Completer:
             batch: How many maps are completed at once, at most.
             threads: Threads of the processor; 0: all.
 
+        Returns:
+            The network, ready to complete maps.
+
         Raises:
             CheckpointError: There is no such network, it is damaged, or there is no such device.
         """
@@ -123,8 +126,10 @@ class Completer:
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
+        # a file's name may hold control characters, and the title goes to terminals
         title = printable(called(name, path))
         if not (plain.startswith(HUB) or plain in bundled()):
+            # another process may have another current folder
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         return cls(
             forward=run,
@@ -161,15 +166,17 @@ class Completer:
 
         Returns:
             float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
-            distances are metres, at most the truncation; None for what the network does not
-            predict.
+            distances are metres, at most the truncation. Parts that the network does not predict
+            are None.
 
         Raises:
             ValueError: An input is missing, of another grid, or holds values that it cannot; or no
                 point is in the map.
-            PredictionError: The network gives NaN, or what is no probability or distance.
+            PredictionError: The network gives NaN, a probability outside [0, 1], or a negative
+                distance.
         """
         inputs: Any = maps
+        # `observed` is always kept: it tells how unfamiliar a map is, whatever the network takes
         rng = rng or np.random.default_rng(0)
         names = "observed", *self.inputs
         with on_threads(self.threads):
@@ -193,6 +200,7 @@ class Completer:
                 values.reshape(-1, *self.grid.shape).split(self.batch)
                 for values in tensors.values()
             ]
+            # not all at once: memory is that of `batch` maps, however many there are
             parts = [
                 self._complete(dict(zip(tensors, part, strict=True)), rng)
                 for part in zip(*split, strict=True)
@@ -206,6 +214,7 @@ class Completer:
                 arrays[name] = (
                     whole.to(first.device) if isinstance(first, Tensor) else whole.numpy(force=True)
                 )
+            # a batch given by name may lack it; then nobody knows how unfamiliar its maps are
             seen = tensors.get("observed")
             prediction = Prediction.of(arrays, calibration=self.calibration, observed=seen)
             return check_prediction(prediction, shape, self.name, self.targets)
@@ -216,6 +225,7 @@ class Completer:
         return file_sha256(locate(self.opened[0]))
 
     def __reduce__(self) -> Any:
+        # weights do not travel with every task, and a pool of threads would not survive a fork
         return opened_once, self.opened
 
     def completion(
@@ -230,6 +240,9 @@ class Completer:
             sample: The sample.
             split: Its split.
             rng: See `__call__`.
+
+        Returns:
+            The prediction.
 
         Raises:
             DatasetError: The grid differs.
@@ -256,6 +269,9 @@ class Completer:
             seen: The same map with its place, from which all inputs are computed.
             rng: See `__call__`.
 
+        Returns:
+            The prediction.
+
         Raises:
             ValueError: The grid differs, or the network takes inputs that only `seen` gives.
         """
@@ -276,8 +292,14 @@ class Completer:
             )
 
     def unlike(self, settings: Iterable[Sensing]) -> list[str]:
-        """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
-        not learn from; see the function `unlike`."""
+        """Describe the sensing of a dataset that the network did not learn from.
+
+        Args:
+            settings: The dataset's sensing: sensors, mappings and noise.
+
+        Returns:
+            Lines, each once; see the function `unlike`.
+        """
         return sorted(
             filter(None, {unlike(self.name, self.about, *sensing) for sensing in settings})
         )
@@ -288,6 +310,9 @@ class Completer:
         Args:
             points: (N, 3), metres.
             sensor: Position (3,), metres.
+
+        Returns:
+            The scan, in a map around the sensor.
 
         Raises:
             ValueError: The points have another shape, or none is in the map.
@@ -337,7 +362,7 @@ class Completer:
 
     @torch.inference_mode()
     def _complete(self, maps: Batch, rng: np.random.Generator) -> dict[str, Tensor]:
-        # so that the caller's own random numbers stay as they were
+        # a network draws by torch's global generator; the caller's numbers stay as they were
         with torch.random.fork_rng() if self.draws else nullcontext():
             if self.draws:
                 torch.manual_seed(int(rng.integers(2**63)))
@@ -346,7 +371,12 @@ class Completer:
 
 @contextmanager
 def on_threads(count: int) -> Iterator[None]:
-    """While the block runs, torch computes on `count` threads, 0 for as many as before."""
+    """Let torch compute on so many threads while the block runs.
+
+    Args:
+        count: Number of threads; 0 for as many as before.
+    """
+    # the number is global to torch, so it is put back for the caller's own networks
     before = torch.get_num_threads()
     torch.set_num_threads(count or before)
     try:
@@ -363,6 +393,9 @@ def opened_once(name: str, device: str, batch: int) -> Completer:
         name: See `Completer.from_pretrained`.
         device: The device.
         batch: How many maps are completed at once, at most.
+
+    Returns:
+        The network, the same object on every call.
     """
     with on_threads(1):
         return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
@@ -386,7 +419,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
     current, usual = sensor_entry(lidar), mapping_entry(Mapper())
 
     def describe(way: Json) -> tuple[int, str]:
-        """How far they are from one way of those that the network learned from, and why."""
+        """Distance from one sensing that the network learned from, and its description."""
         learned_from, noises = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
         sensor, faults = differences(learned_from, current, TRAINING), []
         # tables of rays have nothing else
@@ -411,12 +444,12 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
         line = f"{name} was trained on {kind}, so expect worse completions: {printable(line)}"
         return distance, line
 
-    # sensors and maps of several ways, each with its noise; the nearest is told
+    # a network may have learned from several sensors and mappings: the nearest is described
     return min(map(describe, (about, *about.get("also", ()))))[1]
 
 
 def _titled(entry: Json) -> str:
-    """The sensor of a manifest's entry in words."""
+    """Describe the sensor of a manifest's entry in words."""
     rays = " × ".join(map(str, entry.get("shape") or [entry.get("rows"), entry.get("columns")]))
     return f"{entry.get('made_by') or entry.get('sensor', 'a raster')} of {rays} rays"
 
@@ -426,15 +459,26 @@ def called(name: str | Path, path: Path) -> str:
 
     Args:
         name: The network as the user names it.
-        path: Where it was found.
+        path: Its file.
+
+    Returns:
+        The name.
     """
+    # each run calls its network best.safetensors: the folder tells runs apart
     if (name := split_own(name)[1]).startswith(HUB):
         return name.removeprefix(HUB).partition("@")[0].rpartition("/")[2]
     return real_path(path).parent.name if path.name in NAMES_IN_FOLDER else path.stem
 
 
 def open_network(name: str | Path) -> tuple[Any, GridSpec, Json]:
-    """The network called `name`, as `load_network` gives it; see `Completer.from_pretrained`."""
+    """Open a network by its name, see `Completer.from_pretrained`, for use as a module of torch.
+
+    Args:
+        name: The name.
+
+    Returns:
+        The network, its grid and its metadata, as `load_network` returns them.
+    """
     return load_network(locate(name), split_own(name)[0])
 
 
@@ -443,8 +487,14 @@ def locate(name: str | Path) -> Path:
 
     Only names that begin with ``hf://`` use the internet.
 
+    Args:
+        name: The name.
+
+    Returns:
+        The file.
+
     Raises:
-        CheckpointError: There is none.
+        CheckpointError: There is no such network.
     """
     name = split_own(name)[1]
     if name.startswith(HUB):
@@ -470,7 +520,7 @@ def locate(name: str | Path) -> Path:
 
 
 def _fetch(name: str) -> Path:
-    """A repository's network, through the Hub's cache."""
+    """Download the network of a repository, through the Hub's cache."""
     repository, _, revision = name.removeprefix(HUB).partition("@")
     try:
         from huggingface_hub import hf_hub_download
@@ -480,4 +530,5 @@ def _fetch(name: str) -> Path:
         with client_output(show_progress=False):
             return Path(hf_hub_download(repository, NAMES_IN_FOLDER[1], revision=revision or None))
     except Exception as error:  # its errors share no base
+        # addresses in these messages may hold a token
         raise CheckpointError(f"{name}: cannot be fetched: {without_tokens(error)}") from None

@@ -37,13 +37,12 @@ Part = tuple[str, Sequence[int]]
 
 
 class SplitReport(NamedTuple):
-    """What became of a split."""
+    """Result of completing a split."""
 
     away: list[float]
-    """How far from home each sample is that was completed now, see `Prediction.away`; [] where
-    nobody knows."""
+    """How unfamiliar each sample is that was completed now (`Prediction.away`); [] if unknown."""
     damaged: list[str]
-    """Names of files that were there, and were made again."""
+    """Names of existing files that were damaged, and were made again."""
 
 
 def predict_split(
@@ -70,6 +69,9 @@ def predict_split(
         on_start: Called with the number of samples once the work has begun.
         on_done: Called with the number of samples of each part that is written.
 
+    Returns:
+        How unfamiliar the samples are, and the files that were made again.
+
     Raises:
         DatasetError: The grid differs, the split is empty, the disk refuses, or `out` is something
             else already.
@@ -85,6 +87,7 @@ def predict_split(
         "method": completer.name,
         "weights": completer.digest,
     }
+    # by digests: a network that was trained again, or another dataset, must not continue the folder
     existing = claim(out, PREDICTIONS, {**facts, "samples": PART})
     parts = [
         (f"{stem_of(split, number)}.h5", numbers)
@@ -96,6 +99,7 @@ def predict_split(
     tasks, damaged = list[Part](), list[str]()
     for part in execute.mine(parts):
         if part[0] in existing:
+            # a disk may have damaged it since: each file is read before it is relied on
             if _is_intact(out, samples, facts, part):
                 continue
             damaged.append(part[0])
@@ -106,7 +110,7 @@ def predict_split(
 
 
 def _is_intact(out: Path, samples: Split, facts: Mapping[str, str], part: Part) -> bool:
-    """Whether a file that is there holds what was written of these samples."""
+    """Check that an existing file holds the predictions of these samples as they were written."""
     name, numbers = part
     shape = samples.dataset.grid.shape
     check = partial(check_file, facts=facts, max_samples=len(numbers), shape=shape, sealed=True)
@@ -124,8 +128,8 @@ def _write(
     out: Path,
     part: Part,
 ) -> list[float | None]:
-    """Write the predictions of some samples into a file of the folder `out`, whole or not, by the
-    network that is given, or is opened now. How far from home each is; None where nobody knows."""
+    """Write the predictions of some samples into a file of the folder `out`, whole or not at all. A
+    network that is not passed is opened. Returns how unfamiliar each sample is; None if unknown."""
     completer = opened_once(*network) if isinstance(network, tuple) else network
     (file_name, numbers), grid = part, samples.dataset.grid
     names = "observed", *completer.inputs
@@ -138,6 +142,7 @@ def _write(
             inputs = [channels(names, sample, grid, sample.lidar) for sample in batch]
             prediction = completer(
                 {name: np.stack([maps[name] for maps in inputs]) for name in names},
+                # by the sample's number, so that a run that continues draws the same
                 rng=rng_of(0, numbers[first]),
             )
             predicted = prediction.arrays()
@@ -149,6 +154,7 @@ def _write(
                 digests.append(sample_digest(pairs[-1], maps))
             far = prediction.away
             away += [None] * len(batch) if far is None else far.tolist()
+        # last, since the digest of the file covers every row
         columns = dict(zip(WHO, np.array(pairs, np.int64).T, strict=True))
         columns[SAMPLES] = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 32)
         for name, values in columns.items():

@@ -1,9 +1,9 @@
-"""What a completion is, the one protocol of everything that completes a map, and the methods
-without learning, which a network has to beat.
+"""Predictions, the protocol of methods that complete maps, and the methods without learning, which
+a network has to beat.
 
-A completer sees what one scan tells of a map and says what is there. What it leaves out is derived
-as the paper does for its single-task networks: distances by the transform of the predicted
-occupancy, occupancy by a threshold on the distance.
+A method sees the observations of a map and predicts its occupancy, its distances, or both. The
+missing one is derived as the paper does for its single-task networks: distances by the transform of
+the predicted occupancy, occupancy by a threshold on the distance.
 """
 
 import inspect
@@ -26,8 +26,11 @@ from scenegen.truth import distance_field
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
-    """What a method says about a map, or a batch of them; at least one of the two is given. Raises
-    ValueError where neither is."""
+    """Prediction of a map, or of a batch of them: a probability of occupancy, a distance, or both.
+
+    Raises:
+        ValueError: if it has neither.
+    """
 
     occupancy_probability: Any = None
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
@@ -39,7 +42,7 @@ class Prediction:
     """(*shape), numpy or torch: where a return lies, by which `calibration` tells unfamiliar maps
     from others; None if unknown."""
     others: Mapping[str, Any] = field(default_factory=dict)
-    """What else is predicted, by `target_name`: (*shape), or (channels, X, Y, Z) for each map."""
+    """Predictions of other targets by `target_name`: (*shape), or (channels, X, Y, Z) a map."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
@@ -52,20 +55,28 @@ class Prediction:
 
     @classmethod
     def of(cls, arrays: Mapping[str, Any], **fields: Any) -> "Prediction":
-        """From its arrays by name: `PARTS`, and others."""
+        """Make a prediction from arrays.
+
+        Args:
+            arrays: Arrays by name: `PARTS`, and those of other targets.
+            fields: Other fields.
+
+        Returns:
+            The prediction.
+        """
         parts = {name: arrays[name] for name in PARTS if name in arrays}
         others = {name: values for name, values in arrays.items() if name not in PARTS}
         return cls(**parts, **fields, others=others)
 
     def arrays(self) -> dict[str, Any]:
-        """What a file keeps of it, by name: those of `STORED` that it has as float32, and
-        others."""
+        """Return the arrays that a file holds, by name: those of `STORED` as float32, and those of
+        other targets."""
         stored = {name: plain(getattr(self, name)) for name in STORED}
         arrays = {n: v.astype(np.float32) for n, v in stored.items() if v is not None}
         return arrays | {name: plain(values) for name, values in self.others.items()}
 
     def _repr_html_(self) -> str:
-        """For notebooks: what each part is, its least, mean and greatest number."""
+        """Make a table for notebooks: the least, mean and greatest number of each part."""
         rows: list[tuple[str, ...]] = [("", "", "least", "mean", "greatest")]
         parts = {name: getattr(self, name) for name in PARTS} | dict(self.others)
         for name, part in parts.items():
@@ -76,9 +87,15 @@ class Prediction:
         return html_table(rows, self)
 
     def occupied(self, thresholds: Thresholds | None = None) -> Mask:
-        """The binary map, (*shape), at `thresholds`, by default the paper's: where the probability
-        is greater than its threshold ("greater than" in the paper's section "Implementation
-        Details"), or, without one, the distance less than its own."""
+        """Return the binary map, (*shape).
+
+        A voxel is occupied if its probability is greater than the threshold ("greater than" in the
+        paper's section "Implementation Details"); without probabilities, if its distance is less
+        than the threshold of distances.
+
+        Args:
+            thresholds: The thresholds; by default the paper's.
+        """
         thresholds = thresholds or Thresholds()
         if self.occupancy_probability is not None:
             return self.occupancy_probability > np.float32(thresholds.probability)
@@ -96,26 +113,26 @@ class Prediction:
         Returns:
             (*shape): metres, at most the truncation.
         """
+        # a method may predict more than the truncation, which the truth never has
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
         return distance_field(self.occupied(thresholds), grid)
 
     @property
     def probability(self) -> Any:
-        """float32 (*shape), numpy or torch: the calibrated probability of being occupied; None
-        where there is none. `occupancy_probability` is what the paper's thresholds are for."""
+        """Calibrated probability of being occupied, float32 (*shape), numpy or torch; None without
+        a calibration. The paper's thresholds are for `occupancy_probability`, not for this."""
         if self.calibration is None:
             return None
         return self._as_given(self.calibration.chance(plain(self.occupancy_probability), self.away))
 
     @property
     def away(self) -> Any:
-        """How far from home the map is, or each of a batch, from 0 to 1; None where that was not
-        measured.
+        """How unfamiliar the map is, or each of a batch, from 0 to 1; None if not measured.
 
         In an unfamiliar place a network often calls voxels free that hold a return. The value is
         the share of the calibration's maps on which it did so less often. From 0.95 on, expect a
-        worse completion; below, nothing is promised.
+        worse completion; a lower value is no promise of a good one.
         """
         probability, observed = plain(self.occupancy_probability), plain(self.observed)
         known = self.calibration
@@ -125,18 +142,18 @@ class Prediction:
         return away_of(denied, known.denied)
 
     def _as_given(self, values: Field | None) -> Any:
-        """As torch, on their device, where the predictions are."""
+        """Convert to torch, on the device of the predictions, if these are torch."""
         like = self.occupancy_probability if self.tudf is None else self.tudf
         return values if values is None or isinstance(like, np.ndarray) else like.new_tensor(values)
 
 
 def plain(values: Any) -> Any:
-    """numpy of numpy or torch."""
+    """Convert numpy or torch to numpy; None stays None."""
     return values if values is None or isinstance(values, np.ndarray) else values.numpy(force=True)
 
 
 class PredictionError(ScenegenError):
-    """A method says of a map what no completion can be."""
+    """Error of a method whose answer is not a valid prediction."""
 
 
 PARTS = {target.part: target for target in BUILT_IN.values()}
@@ -157,7 +174,7 @@ def check_prediction(
     beyond the truncation are allowed.
 
     Args:
-        answer: What the method gave.
+        answer: The method's answer.
         shape: Shape of its numpy or torch arrays; those of other targets may have channels before
             x.
         who: The method's name, for errors.
@@ -167,7 +184,8 @@ def check_prediction(
         `answer`.
 
     Raises:
-        PredictionError: It is not a `Prediction`, or holds what it should not.
+        PredictionError: It is not a `Prediction`, or holds an array of another shape or type, or
+            numbers out of bounds.
     """
     if not isinstance(answer, Prediction):
         raise PredictionError(
@@ -227,6 +245,9 @@ class MapCompleter(Protocol):
             observed: Voxels that hold a return (*grid.shape).
             free: Voxels that a ray crossed (*grid.shape).
             grid: The grid.
+
+        Returns:
+            The prediction, arrays (*grid.shape).
         """
         ...
 
@@ -246,14 +267,18 @@ def complete_seen(
         seen: The map.
         grid: Its grid.
         rng: Random numbers of a method that draws; by default, those of seed 0.
+
+    Returns:
+        The prediction, not checked.
     """
+    # a method of two arguments stays as simple as it can be: it never sees the others
     extras = {"seen": seen, "rng": rng or np.random.default_rng(0)}
     chosen = {name: extras[name] for name in extras_of(completer)}
     return completer.complete(seen.observed, seen.free, grid=grid, **chosen)
 
 
 def forget(completer: Any) -> None:
-    """Let a method that remembers begin anew."""
+    """Reset a method that remembers; others have nothing to reset."""
     if (reset := getattr(completer, "reset", None)) is not None:
         reset()
 
@@ -264,14 +289,23 @@ UPRIGHT[1, 1] = True
 
 
 class Returns:
-    """Occupied where something returned, free elsewhere: what a robot does that trusts its map as
-    it is."""
+    """Occupied where something returned, free elsewhere. A robot that trusts its map as it is flies
+    by this."""
 
     name = "returns"
     learned = False
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`."""
+        """See `MapCompleter.complete`.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+
+        Returns:
+            Probabilities: 1 where something returned, 0 elsewhere.
+        """
         return Prediction(occupancy_probability=observed.astype(np.float32))
 
 
@@ -282,30 +316,58 @@ class Empty:
     learned = False
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`."""
+        """See `MapCompleter.complete`.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+
+        Returns:
+            Probabilities: 0 everywhere.
+        """
         return Prediction(occupancy_probability=np.zeros(observed.shape, np.float32))
 
 
 class Conservative:
-    """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
+    """Occupied wherever no ray crossed. A robot that trusts nothing unseen flies by this."""
 
     name = "conservative"
     learned = False
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`."""
+        """See `MapCompleter.complete`.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+
+        Returns:
+            Probabilities: 0 where a ray crossed, 1 elsewhere.
+        """
         return Prediction(occupancy_probability=(~free).astype(np.float32))
 
 
 class Extrude:
-    """Returns, extended up and down their columns through unknown voxels until a free one: what a
-    network for pillars has to beat."""
+    """Returns, extended up and down their columns through unknown voxels until a free one. Networks
+    for pillars have to beat this."""
 
     name = "extrude"
     learned = False
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
-        """See `MapCompleter.complete`."""
+        """See `MapCompleter.complete`.
+
+        Args:
+            observed: Voxels that hold a return (*grid.shape).
+            free: Voxels that a ray crossed (*grid.shape).
+            grid: The grid.
+
+        Returns:
+            Probabilities: 1 in the runs of unknown voxels that hold a return, 0 elsewhere.
+        """
+        # a run is unbroken by free voxels in its column; one with a return is occupied as a whole
         runs, count = ndimage.label(~free, UPRIGHT)
         met = np.zeros(count + 1, np.float32)
         met[runs[observed & ~free]] = 1.0

@@ -44,13 +44,13 @@ from scenegen.worlds.clouds import READERS, ReadReport, check_scan, read_cloud, 
 from scenegen.worlds.clouds.write import encode_points, read_npz
 
 TRUTH = ("occupancy", "known")
-"""What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
+"""Arrays that an observation of `scenegen ingest` has besides its scan, from the whole log."""
 BELOW_M = 5.0
-"""What is below the sensor is looked for among the lower returns that are within so many metres of
-it, seen from above."""
+"""Horizontal distance from the sensor within which its height above the ground is measured,
+metres."""
 MIN_BELOW, LOWEST = 20, 0.1
-"""How many of these it takes to tell the sensor's height, and which quantile of them is taken: the
-ground, where the sensor looks down far enough."""
+"""Number of returns that the height needs, and the quantile of them that is taken for the ground.
+It is the ground if the sensor looks down far enough."""
 
 
 class Scan(NamedTuple):
@@ -62,23 +62,23 @@ class Scan(NamedTuple):
     position: Floats
     """(3,): where the sensor is in the points' frame, metres."""
     layout: str
-    """What was taken of the file, see `Cloud`; "" of a log's."""
+    """Description of the file's columns, see `Cloud`; "" for scans of a log."""
     truth: Mapping[str, Any] = {}
     """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
     known."""
 
 
 Task: TypeAlias = tuple[str, Callable[[], Scan]]
-"""The name of a completion, and what reads the scan for it. Reading raises DatasetError."""
+"""Name of a completion, and a function that reads its scan, which raises DatasetError."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanReport:
-    """What became of a scan."""
+    """Result of completing a scan."""
 
     points: int
     layout: str
-    """What was taken of the file, see `Cloud`."""
+    """Description of the file's columns, see `Cloud`."""
     without: int
     """Points without a return."""
     inside: int
@@ -96,9 +96,12 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
     """Read the scan in a file, with the truth if it is an observation.
 
     Args:
-        path: What `read_cloud` reads.
-        sensor: Where it was seen from, (3,), metres.
+        path: A file that `read_cloud` reads.
+        sensor: Position of the sensor (3,), metres.
         columns: See `read_cloud`.
+
+    Returns:
+        The scan.
 
     Raises:
         DatasetError: The file holds no scan, or the position is out of bounds.
@@ -111,7 +114,7 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
     cloud, truth = read_cloud(path, columns=columns), dict[str, Any]()
     check_scan(cloud.points, position, str(path))
     if path.suffix == ".npz":
-        with suppress(ValueError):  # an archive of points alone
+        with suppress(ValueError):  # an archive that holds only points
             content = read_bounded(path, MAX_SCAN_BYTES)
             values = read_npz(content, *TRUTH, "voxel_m", max_bytes=MAX_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), values, strict=True))
@@ -130,9 +133,18 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
     """
 
     def read(name: str, scan: LogScan) -> Scan:
+        """Move a scan into the frame of the poses.
+
+        Args:
+            name: Its name.
+            scan: The scan, in the sensor's frame.
+
+        Returns:
+            The scan.
+        """
         position = scan.pose.position
         points = rotate(scan.pose.quaternion, scan.points) + position
-        # in the sensor's frame, they are told exactly
+        # in the sensor's frame, points without a return are exactly 0; here, they lie at the sensor
         points[~are_returns(scan.points)] = np.nan
         return Scan(name, points, position, "")
 
@@ -157,8 +169,11 @@ def predict_scan(
         out: A .h5 file, which gets the network's inputs, the prediction, the truth if there is one,
             and the grid; or a .ply file, which gets the centres of occupied voxels in the scan's
             frame.
-        name: What the file calls the scan; by default its name.
+        name: Name of the scan in the file; by default that of the scan.
         thresholds: Thresholds of the .ply file; by default the paper's.
+
+    Returns:
+        Counts of points, and how good and how familiar the completion is.
 
     Raises:
         DatasetError: No point is in the map, the name has another ending, or `out` is something
@@ -166,6 +181,7 @@ def predict_scan(
     """
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
+    # before the network runs: a refusal should not cost a completion
     check_ours(out)
     make_way(out)
     with reraise_as(DatasetError, f"{scan.name}: ", " (--sensor)"):
@@ -192,7 +208,7 @@ def predict_scan(
 
 
 def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
-    """The truth that came with a scan; nothing if that is on another grid than the network's."""
+    """Return the truth that came with a scan; {} if it is on another grid than the network's."""
     truth = {name: np.asarray(scan.truth[name]) for name in TRUTH if scan.truth}
     fits = all(part.shape == grid.shape and part.dtype == np.bool_ for part in truth.values())
     return truth if fits and scan.truth.get("voxel_m") == grid.voxel_m else {}
@@ -204,6 +220,9 @@ def about_scan(completer: Completer, name: str) -> dict[str, Any]:
     Args:
         completer: The network.
         name: Name of the scan.
+
+    Returns:
+        By name: the method, its digest, and the scan.
     """
     return {"method": completer.name, "weights": completer.digest, "scan": name}
 
@@ -217,11 +236,14 @@ def _write(out: Path, facts: Mapping[str, Any], maps: Mapping[str, Any]) -> None
 
 
 def is_intact(path: Path, facts: Mapping[str, str]) -> bool:
-    """Whether a file holds what was written of a scan.
+    """Check that a file holds the completion of a scan as it was written.
 
     Args:
         path: The file.
         facts: From `about_scan`.
+
+    Returns:
+        False for a damaged file, and for one of another scan or network.
     """
     try:
         return read_guarded(partial(_check, facts=facts), path, MAX_SCAN_BYTES)
@@ -236,15 +258,32 @@ def _check(path: Path, *, facts: Mapping[str, str]) -> bool:
 
 
 def height_above_returns(points: Floats) -> float | None:
-    """How high the sensor is above what it sees below it, metres, by returns (N, 3) from it."""
+    """Estimate the sensor's height above the ground.
+
+    Args:
+        points: Returns (N, 3) relative to the sensor, metres, z up.
+
+    Returns:
+        Metres; None if too few returns lie below it.
+    """
+    # a quantile, since a single return far too low would decide the minimum
     below = points[(np.hypot(points[:, 0], points[:, 1]) < BELOW_M) & (points[:, 2] < 0), 2]
     return -float(np.quantile(below, LOWEST)) if len(below) >= MIN_BELOW else None
 
 
 def read_completion(path: Path) -> Look:
-    """What `predict_scan` wrote to the .h5 file `path`, to be shown: what was observed, the
-    prediction at the paper's thresholds, and the truth where there is one. Raises DatasetError for
-    anything else."""
+    """Read a completion for viewers: the observed voxels, the prediction at the paper's thresholds,
+    and the truth if there is one.
+
+    Args:
+        path: A .h5 file that `predict_scan` wrote.
+
+    Returns:
+        The map to show.
+
+    Raises:
+        DatasetError: It is something else.
+    """
     return read_guarded(_completion, path, MAX_SCAN_BYTES)
 
 
@@ -266,6 +305,7 @@ def _completion(path: Path) -> Look:
         prediction = check_prediction(Prediction(**parts), shape, str(path))
         guess = Guess(
             name=method,
+            # of an observation, only known voxels are shown, as in its truth
             occupied=prediction.occupied() & maps.get("known", np.ones(shape)).astype(bool),
             tudf=prediction.distance(None, grid),
         )
@@ -288,7 +328,7 @@ def _completion(path: Path) -> Look:
 
 
 def looks_of_completion(path: Path) -> list[Look]:
-    """The completion of a scan as the only one of a list; see `read_completion`."""
+    """List the completion of a scan, the only one of its file; see `read_completion`."""
     return [read_completion(path)]
 
 
@@ -306,8 +346,8 @@ def draw_completion(path: Path) -> Any:
 
 
 def read_line(reports: Sequence[ScanReport]) -> str:
-    """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
-    points are no returns."""
+    """Describe in one line how the points of completed scans were read; of a log, which `Log.line`
+    describes, only the number of points without a return."""
     read = ReadReport()
     for scan in reports:
         read.add(scan.points, scan.layout, scan.without)
@@ -320,6 +360,9 @@ def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
     Args:
         completer: The network.
         reports: A report of each scan.
+
+    Returns:
+        The lines.
     """
     points, without, inside = (
         sum(getattr(scan, name) for scan in reports) for name in ("points", "without", "inside")
@@ -334,6 +377,7 @@ def summary(completer: Completer, reports: Sequence[ScanReport]) -> list[str]:
         low, high = (f"{end:.1f}" for end in (min(heights), max(heights)))
         height = low if low == high else f"{low} to {high}"
         lines[-1] = f"the sensor is some {height} m above what it sees below it"
+    # points do not tell all that the network was trained with, so its user should know
     lines += [UNTOLD[name] for name in completer.inputs if name in UNTOLD]
     if away := sum(scan.away for scan in reports):
         lines.append(
@@ -381,6 +425,7 @@ def tasks_of(
             f"{', '.join(READERS)} files"
         )
     names = [str(scan.relative_to(path).with_suffix("")) for scan in scans]
+    # a.pcd and a.ply of one folder would write one file, the later one over the earlier
     if len(set(names)) < len(names):
         twice = max(names, key=names.count)
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""Predictions in HDF5 files: written whole with digests, and looked at before they are used."""
+"""Predictions in HDF5 files: written atomically with digests, and checked before use."""
 
 import hashlib
 import io
@@ -43,13 +43,21 @@ maps."""
 
 
 class _Disk(io.FileIO):
-    """What HDF5 writes to. A disk that refuses ends the writing at once; all that HDF5 must still
-    write to close the file, and would fail at again and again, then goes nowhere."""
+    """File below HDF5. A write that fails ends the writing at once. HDF5 writes more to close the
+    file, and would fail again and again, so these writes are dropped."""
 
     refused = False
 
     def write(self, content: Any) -> int:
-        """All of `content`. Raises the first OSError, and no other."""
+        """Write all of `content`, or nothing after the first error.
+
+        Returns:
+            Its bytes.
+
+        Raises:
+            OSError: The disk refuses, for the first time.
+        """
+        # the system may write a part of it only
         left = memoryview(content)
         try:
             while left.nbytes and not self.refused:
@@ -60,14 +68,14 @@ class _Disk(io.FileIO):
         return memoryview(content).nbytes
 
     def truncate(self, size: int | None = None) -> int:
-        """The same."""
+        """Truncate the file, unless the disk has refused."""
         return 0 if self.refused else super().truncate(size)
 
 
 def read_guarded(
     read: Callable[[Path], Any], path: Path, max_bytes: int, seconds: float = GUARD_S
 ) -> Any:
-    """What `read` makes of a stranger's HDF5 file, `guarded`.
+    """Read a stranger's HDF5 file in a process with limits, see `guarded`.
 
     Args:
         read: Opens the file by its path; the result must be picklable.
@@ -75,9 +83,12 @@ def read_guarded(
         max_bytes: The largest file that is read.
         seconds: How long `read` may take.
 
+    Returns:
+        The result of `read`.
+
     Raises:
         DatasetError: The file is missing or too large, or HDF5 crashes, hangs or swells on it.
-        ScenegenError: Whatever `read` raises.
+        ScenegenError: `read` raises it.
     """
     open_bounded(path, max_bytes).close()
     try:
@@ -88,7 +99,11 @@ def read_guarded(
 
 @contextmanager
 def new_hdf5(path: Path) -> Iterator[h5py.File]:
-    """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
+    """Open a new HDF5 file, which replaces `path` only once it is complete. Raises as `whole`.
+
+    Yields:
+        The file.
+    """
     with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
         yield file
 
@@ -107,6 +122,7 @@ def write_map(file: h5py.File, name: str, values: Any, *, row: int = 0, count: i
         shape = (count, *values.shape) if count else values.shape
         chunks = (1, *values.shape) if count else values.shape
         file.create_dataset(name, shape, values.dtype, chunks=chunks, **PACKED)
+    # compressed by us: HDF5 crashes if the disk refuses chunks that it compresses itself
     place = (row,) * bool(count) + (0,) * values.ndim
     file[name].id.write_direct_chunk(place, compress(values))
 
@@ -117,17 +133,21 @@ def digest_of(facts: Mapping[str, Any], arrays: Mapping[str, Any]) -> bytes:
     Args:
         facts: The facts.
         arrays: The arrays by name.
+
+    Returns:
+        32 bytes.
     """
     text = json.dumps(dict(facts), sort_keys=True, default=_plain)
     digest = hashlib.sha256(text.encode())
     for name, values in sorted(arrays.items()):
+        # type and shape, too: the same bytes of another shape are another map
         digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
         digest.update(np.ascontiguousarray(values).data)
     return digest.digest()
 
 
 def _plain(value: Any) -> Any:
-    """An attribute of HDF5 as JSON has it."""
+    """Convert an attribute of HDF5 for JSON."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
 
 
@@ -137,6 +157,9 @@ def sample_digest(pair: Sequence[int], maps: Mapping[str, Any]) -> bytes:
     Args:
         pair: Its world and viewpoint.
         maps: Arrays by name.
+
+    Returns:
+        32 bytes.
     """
     return digest_of(dict(zip(WHO, map(int, pair), strict=True)), maps)
 
@@ -149,7 +172,7 @@ def check_digest(file: h5py.File, names: Sequence[str]) -> None:
         names: The arrays that the digest covers, besides all attributes.
 
     Raises:
-        DatasetError: It has none, or another.
+        DatasetError: The file has no digest, or another.
     """
     facts = dict(file.attrs)
     digest = facts.pop(DIGEST, None)
@@ -165,8 +188,8 @@ def check_file(
     shape: tuple[int, ...],
     sealed: bool = False,
 ) -> list[tuple[int, int]]:
-    """Look at a file of predictions, all of it: HDF5 could make a small file large, so call this in
-    a process with limits.
+    """Check all of a file of predictions. HDF5 could make a small file large, so call this in a
+    process with limits.
 
     Args:
         path: The file.
@@ -188,6 +211,7 @@ def check_file(
                 raise DatasetError(
                     f"predicts {name} {short_repr(value)}, expected {short_repr(expected)}"
                 )
+        # files of other programs need no digests; one that has some was changed if they are wrong
         sealed = sealed or DIGEST in file.attrs
         columns = (*WHO, SAMPLES) if sealed else WHO
         _check_arrays(file, columns, max_samples, shape)
@@ -196,6 +220,7 @@ def check_file(
         pairs = pairs_in(file)
         for row, pair in enumerate(pairs):
             check_prediction(prediction_at(file, row), shape, f"row {row}")
+            # the file's digest covers the columns, and among them these digests of the maps
             maps = {name: file[name][row] for name in arrays_in(file)}
             if sealed and file[SAMPLES][row].tobytes() != sample_digest(pair, maps):
                 raise DatasetError(
@@ -255,7 +280,7 @@ def _check_chunks(name: str, data: h5py.Dataset) -> None:
 
 
 def about_others(prediction: Prediction) -> dict[str, str]:
-    """What a file says of the arrays that it has besides `STORED`; nothing where it has none."""
+    """Return the attribute that names the arrays of other targets than `STORED`; {} without any."""
     return {OTHERS: ",".join(prediction.others)} if prediction.others else {}
 
 
@@ -264,6 +289,9 @@ def others_in(file: h5py.File) -> list[str]:
 
     Args:
         file: The file.
+
+    Returns:
+        The names.
 
     Raises:
         DatasetError: No target has such a name.
@@ -295,17 +323,30 @@ def prediction_at(file: h5py.File, row: int) -> Prediction:
     Args:
         file: The file.
         row: The row.
+
+    Returns:
+        The prediction, as float32 whatever is stored.
     """
     maps = {name: file[name][row] for name in arrays_in(file)}
     maps |= {name: maps[name].astype(np.float32) for name in STORED if name in maps}
     probability = maps.pop("probability", None)
+    # the network that calibrated it is not at hand; its probabilities stand for it
     calibration = None if probability is None else StoredProbability(probability=probability)
     return Prediction.of(maps, calibration=calibration)
 
 
 def prediction_facts(path: Path) -> dict[str, Any]:
-    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
-    Raises DatasetError."""
+    """Describe an HDF5 file of predictions, of a split or of one scan.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The method and the dataset, and the shapes of the arrays.
+
+    Raises:
+        DatasetError: It is damaged, or something else.
+    """
     return read_guarded(_facts, path, 1 << 62)
 
 

@@ -1,4 +1,4 @@
-"""Robots that fly by what they see: a mapping one, by completions and plans, and a reactive one."""
+"""Robots that fly by their observations: one that maps, completes and plans, and a reactive one."""
 
 FORGETFUL = "returns"
 """Name of the robot that uses only the last scan."""

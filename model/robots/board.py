@@ -14,16 +14,16 @@ from scenegen.model.tables import Table, page
 
 
 class Column(NamedTuple):
-    """What the leaderboard tells of flights."""
+    """Column of the leaderboard."""
 
     of: Callable[[Flown], float]
-    most: float = 1.0
+    maximum: float = 1.0
     """No value is greater, and none is less than 0: intervals end there."""
     scale: Scale = "amount"
 
 
 ENDS = ("success", "collision", "timeout")
-"""How flights end of whose robots nothing is wrong; others crash, hang or leave the bounds."""
+"""Ends of flights of sound robots; others crash, hang or leave the bounds."""
 BOARD = {
     "success": Column(lambda row: row.outcome == "success", scale="outcome"),
     "collision": Column(lambda row: row.outcome == "collision", scale="outcome"),
@@ -84,6 +84,7 @@ def leaderboard(folder: Path) -> str:
     Raises:
         DatasetError: A file is no entry, or has courses that are not its suite's.
     """
+    # only entries that flew the same worlds can be compared, so each choice of courses has a table
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
     for path in sorted(folder.glob("*.json")):
         entry = read_recording(path)
@@ -97,6 +98,7 @@ def leaderboard(folder: Path) -> str:
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
     body = ""
     for (suite, title, *_), (_, rows) in whole_first:
+        # all rows of a table have the same flights, so sums order as means do
         rows.sort(key=lambda row: -sum(row.scores))
         cells = [(row.robot, _cells(row, rows[0])) for row in rows]
         body += Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells).html()
@@ -109,6 +111,7 @@ def _row(entry: Recording) -> Row:
     for course, flights in sorted(entry.courses, key=lambda flight: str(named(flight[0]))):
         for number, flight in enumerate(flights):
             best_s = flight.shortest_m / course.vehicle.speed_mps
+            # from the outcome, the time and the lengths, which `fly replay` checks
             success = flight.outcome == "success"
             figures = marks(success, flight.time_s, flight.flown_m, flight.shortest_m, best_s)
             scored.append(replace(flight, score=figures["score"], spl=figures["spl"]))
@@ -121,10 +124,12 @@ def _cells(row: Row, best: Row) -> list[str]:
     cells = [str(len(row.flights))]
     for column in BOARD.values():
         summary = summarise([column.of(flight) for flight in row.flights], row.worlds, column.scale)
+        # an interval by Student's t may pass the bounds of a share
         for name in ("low", "high"):
             if summary[name] is not None:
-                summary[name] = min(max(summary[name], 0.0), column.most)
+                summary[name] = min(max(summary[name], 0.0), column.maximum)
         cells.append(brief(summary))
+    # differences on the same flights: how hard these are cancels
     pairs = zip(row.scores, best.scores, strict=True)
     less = summarise([flight - best_score for flight, best_score in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]

@@ -1,4 +1,4 @@
-"""A page that plays a flight: what is there, what the robot takes for occupied, and its way."""
+"""A page that plays a flight: the truth, the robot's own map, and its path."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -17,18 +17,18 @@ from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route
 from scenegen.view.page import page
 
-EVERY = 3
+PERIODS_PER_PICTURE = 3
 """Periods from picture to picture."""
 MAX_PICTURES = 200
 """Of a longer flight, the first ones are shown."""
 
 
 class _Moment(NamedTuple):
-    """What was seen at a decision, and what the robot held then."""
+    """Observation at a decision, with the robot's map and plan."""
 
     seen: Observation
     taken: Mask | None
-    """What it takes for occupied, of the voxels within the bounds; None where it has no map."""
+    """Voxels within the bounds that it takes for occupied; None if it has no map."""
     plan: Floats | None
     """The way ahead (n, 3), world metres."""
     way: Floats
@@ -36,9 +36,12 @@ class _Moment(NamedTuple):
 
 
 def _moments(simulation: Simulation, robot: Any, flown: Flown) -> Iterator[_Moment]:
-    """What was held on the way, as it is flown again; at the end, what was held last. The robot, if
-    there is one, sees what was seen. Raises DatasetError for a flight that ended before it
-    began."""
+    """Fly a flight again, and yield its moments; the last one is at its end. The robot, if there is
+    one, gets the recorded observations.
+
+    Raises:
+        DatasetError: The flight ended before it began.
+    """
     way, moment = list[Floats](), None
     if robot is not None:
         robot.reset(simulation.about())
@@ -46,33 +49,39 @@ def _moments(simulation: Simulation, robot: Any, flown: Flown) -> Iterator[_Mome
         if robot is not None:
             robot.act(seen)
         way.append(seen["position"])
-        if n % EVERY == 0 and n < EVERY * MAX_PICTURES:
+        if n % PERIODS_PER_PICTURE == 0 and n < PERIODS_PER_PICTURE * MAX_PICTURES:
+            # a robot of a user's own need not map
             taken = robot.taken() if hasattr(robot, "taken") else None
             moment = _Moment(seen, taken, getattr(robot, "path", None), np.array(way))
             yield moment
     if moment is None:
         raise DatasetError(f"the flight ended before it began: {flown.trouble}")
     end = simulation.state[:3]
+    # the robot decides no more at the end: its last map and plan stand
     yield moment._replace(seen=moment.seen | {"position": end}, way=np.array([*way, end]))
 
 
 def flight_page(name: str, course: Course, number: int, robot: Any, flown: Flown) -> bytes:
-    """A page (HTML) that plays a flight in three dimensions, five pictures a second.
+    """Write an HTML page that plays a flight in three dimensions, five pictures a second.
 
-    It shows what is there, what the robot takes for occupied, its scans, and its way, first flown
-    and then planned.
+    It shows the truth, the voxels that the robot takes for occupied, its scans, and its path, first
+    the flown part and then the planned one.
 
     Args:
-        name: What the robot is called.
+        name: Name of the robot.
         course: The course.
         number: The mission's in the course.
-        robot: The robot, which flies again to tell what it takes for occupied; or None.
+        robot: The robot, which flies again, since recordings hold no maps; or None.
         flown: The flight.
+
+    Returns:
+        The page, UTF-8.
 
     Raises:
         DatasetError: The flight ended before it began, or no browser takes the voxels within its
             bounds.
     """
+    # the grid of the whole flight: all pictures are of the same voxels
     simulation = course.simulation(number)
     mission = simulation.mission
     grid, first = within(mission.bounds, getattr(robot, "grid", GridSpec()))
@@ -83,6 +92,7 @@ def flight_page(name: str, course: Course, number: int, robot: Any, flown: Flown
         seen = moment.seen
         position, hits = seen["position"], seen["points"][np.isfinite(seen["ranges"])]
         returns = position + rotate(seen["quaternion"], hits.astype(np.float64))
+        # without a robot's map, the picture shows the last scan
         observed = sort_points(position, returns, grid, origin).observed
         ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
         outcome = "under way" if moment is not moments[-1] else flown.outcome

@@ -1,5 +1,4 @@
-"""Robots by name, those that map, complete and plan, and one without a map; and their flights
-through many courses: flown, kept in a file, and flown again."""
+"""Robots by name, and their flights through many courses: flown, recorded, and flown again."""
 
 import time
 from collections import Counter
@@ -53,6 +52,9 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
         name: One of `NAMES`, or a user's own robot, which runs in a process of its own.
         weights: A network by which a robot that maps completes: the map of all scans, or of the
             last scan if `name` is "returns".
+
+    Returns:
+        The function.
     """
     if weights is not None:
         from scenegen.model.completion.completer import opened_once
@@ -61,13 +63,13 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
         memory = name != FORGETFUL
         return lambda course: MappingRobot(network, memory=memory, doubts=True)
     known = {
-        # what the last scan says, and what all scans say; of unknown voxels, that they are free
+        # occupied where the last scan, or any scan, returned; unknown voxels are free
         FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
         # unknown voxels are occupied
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True),
-        # which nobody else is told
+        # no other robot is given the world
         "truth": lambda course: TruthRobot(course.simulated),
         REACTIVE: lambda course: ReactiveRobot(),
     }
@@ -80,6 +82,9 @@ def real_course(course: Course, hidden: int | None) -> Course:
     Args:
         course: The course.
         hidden: Number that draws the courses of a hidden track; None: another track.
+
+    Returns:
+        The course, or that of the hidden track in its place.
     """
     return course if hidden is None else hidden_course(course, hidden)
 
@@ -103,20 +108,38 @@ def fly_course(
     try:
         flown = [fly_mission(real.simulation(n), pilot) for n in range(real.flights)]
     finally:
+        # a robot of a user's own is a process, which must not outlive its flights
         getattr(pilot, "close", lambda: None)()
     return replace(course, document=real.sha256), flown
 
 
 Crew = Callable[[Function, Sequence[Any], int], Iterator[Any]]
-"""Works through courses of so many flights in all, and gives each course with what was made of each
-of its flights."""
+"""Function that works through courses of so many flights in all, and yields the results by
+course."""
 
 
 def crew_of(execute: Executor, **progress: Any) -> Crew:
-    """A crew that works where `execute` says; for `progress`, counted in flights, see
-    `scenegen.base.executors.counted`."""
+    """Make a crew.
+
+    Args:
+        execute: Where it works.
+        progress: Callbacks, counted in flights; see `scenegen.base.executors.counted`.
+
+    Returns:
+        The crew.
+    """
 
     def crew(function: Function, courses: Sequence[Any], flights: int) -> Iterator[Any]:
+        """Apply a function to courses.
+
+        Args:
+            function: From a course to itself and the results of its flights.
+            courses: The courses.
+            flights: Their flights in all.
+
+        Yields:
+            The results.
+        """
         return counted(
             execute, function, courses, total=flights, size=lambda pair: len(pair[1]), **progress
         )
@@ -131,6 +154,9 @@ def rows_of(flights: Flights, hidden: int | None, crew: Crew) -> list[Json]:
         flights: The flights.
         hidden: See `real_course`.
         crew: Works through the courses.
+
+    Returns:
+        A row for each flight.
     """
     courses = [course for course, _ in flights]
     total = sum(course.flights for course in courses)
@@ -163,6 +189,7 @@ def check_begins(robot: str, course: Course) -> None:
     try:
         pilot.reset(course.simulation(0).about())
     except RobotError as error:
+        # one that is slow to start may still fly; that is counted as "hung", flight by flight
         if error.outcome == "crashed":
             raise ScenegenError(f"--robot {robot}: never begins: {error}") from None
     finally:
@@ -175,6 +202,9 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
     Args:
         name: Name of the robot.
         flown: The flights.
+
+    Returns:
+        Shares of outcomes, means, extremes and sums, by name.
     """
     ends = Counter(flight.outcome for flight in flown)
     row = {"robot": name, "flights": len(flown)}
@@ -183,6 +213,7 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
         part: round(float(np.mean([getattr(flight, part) for flight in flown])), 4)
         for part in RATIOS
     }
+    # the least of all flights: a mean would hide the one that came too near
     row["min_clearance_m"] = round(min(flight.min_clearance_m for flight in flown), 4)
     row["most_step_s"] = round(max(flight.most_step_s for flight in flown), 4)
     return row | {part: sum(getattr(flight, part) for flight in flown) for part in COUNTS}
@@ -191,7 +222,7 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
 ANEW = "flown anew, the same"
 """The note that says how many flights a robot flew as they were recorded."""
 Work = Callable[[Course], FlownCourse]
-"""What flies a course."""
+"""Function that flies a course."""
 SAVED_S = 20.0
 """How often the entry to a suite is written, seconds."""
 NOTHING_KEPT = "stopped; no flight is kept"
@@ -242,6 +273,7 @@ def fly_courses(
         count = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {count}: give the same command again to go on"
 
+    # a suite takes hours: it is written every `SAVED_S`, so that even a kill loses little
     saved_s, total = time.monotonic(), sum(course.flights for course in missing)
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
@@ -259,8 +291,11 @@ def fly_courses(
 def _recorded(
     out: Path | None, entry: Recording, keys: Sequence[Course]
 ) -> dict[Course, FlownCourse]:
-    """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
-    flights would be lost."""
+    """Read the flights of an entry that `out` already holds, by their courses' names.
+
+    Raises:
+        ScenegenError: Flights would be lost.
+    """
     if out is None:
         return {}
     if entry.suite is None or not out.exists():
@@ -278,6 +313,7 @@ def _recorded(
         )
     if earlier.network and entry.network and earlier.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
+    # writing the entry would lose flights of courses that are not among these
     flown = {named(course): (course, flights) for course, flights in earlier.courses}
     if not flown.keys() <= {*keys}:
         raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
@@ -311,7 +347,7 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
             f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
             "--hidden and its number, --maps and their folder, or neither"
         )
-    # the suite's own, in place of worlds that a stranger's file leads to by another path
+    # the suite's own courses: a stranger's file could lead to other worlds by the same names
     frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
     courses = [
         (replace(frozen[named(course)], document=course.document), flights)
@@ -328,6 +364,9 @@ def fly_again(path: Path, recording: Recording, hidden: int | None, crew: Crew) 
         recording: The recording.
         hidden: See `real_course`.
         crew: Works through the courses.
+
+    Returns:
+        The flights, in the order of the recording.
 
     Raises:
         DatasetError: A flight is not as it was recorded.
@@ -359,6 +398,6 @@ def fly_anew(recording: Recording, work: Work, crew: Crew) -> tuple[int, list[Fl
 
 
 def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:
-    """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
+    """Fly the recorded flights of a course again, see `scenegen.fly.course.replay`."""
     course, flights = recorded
     return course, replay(real_course(course, hidden), flights)

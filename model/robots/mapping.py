@@ -1,5 +1,5 @@
-"""A robot that maps: scans are fused in a grid that moves along, completed, and planned through,
-ten times a second."""
+"""A robot that maps: ten times a second it fuses a scan into a grid that moves along, completes the
+grid, and plans a path."""
 
 import math
 from dataclasses import replace
@@ -43,7 +43,7 @@ def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
 
     Args:
         bounds: Least and greatest corner (2, 3), world, metres.
-        grid: Its voxel's size.
+        grid: Its voxels have the size to use.
 
     Returns:
         A grid of so many voxels, and the first voxel (3,).
@@ -54,15 +54,20 @@ def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
 
 
 class MappingRobot:
-    """Fuses scans by visibility, and takes for occupied what returned, and what the `completer`
-    says of voxels in its grid around the vehicle that no ray crossed. What it believed stays where
-    the grid has moved on: dead ends are remembered.
+    """Fuses scans by visibility, completes the map, plans, and flies.
 
-    A* leads to the goal through all that lies within the bounds; its path is refined as the bench
-    does, and followed. Without `memory`, a map is of one scan, and what it does not hold is free.
-    With `frontier`, a robot that knows no way to the goal flies to where it comes nearest to it.
-    With `doubts`, a way is kept until what is seen makes it narrower, whatever is believed, and one
-    leads through what is believed where no other is left: beliefs change as the vehicle moves.
+    A voxel is occupied if it holds a return, or if no ray crossed it and the `completer` predicts
+    it to be occupied, in a grid around the vehicle. Predictions stay where the grid has moved on,
+    so dead ends are remembered. A* searches a path to the goal within the bounds; the path is
+    refined as in the bench, and followed.
+
+    Args:
+        completer: A `MapCompleter`.
+        memory: Whether scans are fused. If not, the map is of the last scan, and free beyond it.
+        frontier: Whether to fly to the reachable point nearest to the goal if no path leads there.
+        doubts: Whether observations outweigh predictions: a path stands until observed voxels make
+            it narrower, and may lead through predicted voxels if there is no other. Predictions
+            change as the vehicle moves.
     """
 
     def __init__(
@@ -80,21 +85,20 @@ class MappingRobot:
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
         forget(self._completer)
+        # a flight is the same however many were flown before
         self._rng = np.random.default_rng(0)
         self._about = about
         self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
         self._least_m = 0.0
-        """What that way kept from all that had been seen when it was planned, as far as it was
-        wanted."""
+        """Its clearance from observed voxels when it was planned, at most the wanted one, m."""
         self._fence, self._low = within(about["bounds"], self.grid)
         """The voxels in which ways are planned, and the first of them."""
         self._forget()
         window = np.array(self.grid.shape)
         self._least = self._low - window // 2 - 2
         self._known = np.zeros((2, *(window + self._fence.shape + 4)), bool)
-        """What was observed, and what is free, wherever the window may come; `_least` is the
-        first voxel."""
+        """Observed and free voxels, wherever the window may come; `_least` is the first voxel."""
 
     def rehearse(self) -> None:
         """Decide once for nothing, then `reset`: in a process of its own, the first decision would
@@ -112,11 +116,11 @@ class MappingRobot:
         MappingRobot.reset(self, about)
 
     def _forget(self) -> None:
-        """Hold for free, and without risk, all that the window does not show."""
+        """Make all voxels free and without risk, until the window covers them."""
         shape, far = self._fence.shape, self.grid.truncation_m
         self._distance, self._risk = np.full(shape, far, np.float32), np.zeros(shape, np.float32)
         self._seen = self._distance.copy() if self._doubts else self._distance
-        """Distances from what is taken for occupied, and from what of it was seen."""
+        """Distances from occupied voxels, and from those among them that were observed."""
 
     def act(self, observation: Observation) -> Floats:
         """See `Robot.act`."""
@@ -125,9 +129,11 @@ class MappingRobot:
         self._corner -= np.array(self.grid.shape) // 2
         self._see(observation)
         self._believe()
-        path = self._kept(observation)
+        # a path that still holds is flown on: a new one at every decision could swing to and fro
+        path = self._remaining(observation)
         if path is None:
             path = self._plan(observation, self._distance)
+            # a prediction that closes every way may be wrong; observations are not
             if path is None and self._doubts:
                 path = self._plan(observation, self._seen)
             if path is not None:
@@ -139,11 +145,11 @@ class MappingRobot:
         return follow(path, observation, self._about, self._room)
 
     def taken(self) -> Mask:
-        """What it takes for occupied, of the voxels `within` the bounds."""
+        """Return the voxels `within` the bounds that the robot takes for occupied."""
         return self._distance == 0
 
     def _room(self, points: Floats) -> Floats:
-        """How far points (n, 3), world metres, are from what is taken for occupied, (n,) metres."""
+        """Distances (n,), metres, of points (n, 3), world metres, from occupied voxels."""
         field, voxel_m = self._distance, self.grid.voxel_m
         return np.array([field_at(field, x, y, z, voxel_m)[0] for x, y, z in points - self._start])
 
@@ -170,6 +176,7 @@ class MappingRobot:
             window = _box(self._corner - self._least, self.grid.shape)
             observed, free = self._known[:, *window]
             self.observed |= observed
+            # a return outweighs rays that crossed its voxel, in this scan or an earlier one
             self.free = (self.free | free) & ~self.observed
             self._known[:, *window] = self.observed, self.free
 
@@ -184,8 +191,7 @@ class MappingRobot:
         )
 
     def believed(self) -> tuple[Mask, Field]:
-        """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
-        each."""
+        """Return the occupied voxels and the risk of all voxels of the window, (*grid.shape)."""
         seen = SeenMap(
             observed=self.observed,
             free=self.free,
@@ -196,28 +202,28 @@ class MappingRobot:
         )
         prediction = complete_seen(self._completer, seen, grid=self.grid, rng=self._rng)
         at = Thresholds(probability=PLAN.careful_probability)
+        # what a ray crossed is free, whatever is predicted
         occupied = self.observed | (prediction.occupied(at) & ~self.free)
         return occupied, risk_of(prediction, occupied, self.observed | self.free, PLAN)
 
     def _believe(self) -> None:
-        """Take what is believed in the window over into the fence, but for the window's rim, whose
-        distances lack what lies beyond."""
+        """Copy occupancy and risk of the window to the fence, without the window's rim, whose
+        distances lack the obstacles beyond."""
         occupied, risk = self.believed()
         if not self._memory:
             self._forget()
         corner, shape = self._corner, np.array(self.grid.shape)
         low = np.maximum(corner + RIM, self._low)
         count = np.maximum(np.minimum(corner + shape - RIM, self._low + self._fence.shape) - low, 0)
-        there, here = _box(low - self._low, count), _box(low - corner, count)
-        self._distance[there] = distance_field(occupied, self.grid)[here]
+        in_fence, in_window = _box(low - self._low, count), _box(low - corner, count)
+        self._distance[in_fence] = distance_field(occupied, self.grid)[in_window]
         if self._doubts:
-            self._seen[there] = distance_field(self.observed, self.grid)[here]
-        self._risk[there] = risk[here]
+            self._seen[in_fence] = distance_field(self.observed, self.grid)[in_window]
+        self._risk[in_fence] = risk[in_window]
 
-    def _kept(self, observation: Observation) -> Floats | None:
-        """What is left of the last path, (n, 3) world metres, until the frontier is reached that it
-        led to, and while nothing that was seen since makes it narrower: else one way out and the
-        next could take turns."""
+    def _remaining(self, observation: Observation) -> Floats | None:
+        """Return the rest of the last path, (n, 3) world metres; None if its end is reached, or if
+        observations since have made it narrower. Without it, two ways out could take turns."""
         position = observation["position"]
         if self.path is None or math.dist(position, self.path[-1]) < self._about["reach_m"]:
             return None
@@ -225,6 +231,7 @@ class MappingRobot:
         lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
         along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
         away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
+        # from the nearest leg on; points beside the vehicle that it has passed are skipped
         leg, far = int(np.argmin(away)), len(legs) - 1
         while leg < far and way[leg + 1] @ legs[leg + 1] > 0 and abs(way[leg + 1]).max() < PASSED_M:
             leg += 1
@@ -232,7 +239,7 @@ class MappingRobot:
         return path if self._narrowest_m(path) >= self._least_m else None
 
     def _narrowest_m(self, path: Floats) -> float:
-        """How near a path (n, 3) from the vehicle comes to what was seen."""
+        """Least distance of a path (n, 3) from observed voxels, metres; its start is left out."""
         return float(self._seen[self._voxels(_halved(path)[1:])].min())
 
     def _voxels(self, points: Floats) -> tuple[Ints, ...]:
@@ -245,14 +252,17 @@ class MappingRobot:
         step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
         radius, position = float(self._about["radius_m"]), observation["position"]
         start = position + LAG_S * observation["velocity"]  # no sooner can it turn
+        # the search needs a free start, and the point ahead may lie too near an obstacle
         if distance[self._voxels(start[None])] < radius:
             start = position
         ends = np.transpose(self._voxels(np.stack([start, goal])))
         first = ends[0] % step
         shape = (np.array(self._fence.shape) - 1 - first) // step + 1
         node = np.minimum(np.rint((ends[1] - first) / step).astype(np.int64), shape - 1)
+        # the widest berth first: narrow doors have a path only with less
         for spare in SPARES_M:
             blocked = distance < radius + spare
+            # the search needs a free goal, and to be within `reach_m` of it is enough
             blocked[tuple(first + step * node)] = False
             begin, weight = ends[0] // step, PLAN.risk_weight
             if self._frontier:
@@ -267,6 +277,7 @@ class MappingRobot:
             return None
         rough = (first + step * nodes + 0.5) * voxel_m
         path = refine(rough, distance, self._fence, PLAN) if len(rough) > 2 else rough
+        # refining must not lead into voxels that the search avoided
         met = self._voxels(_halved(path)[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
         return np.concatenate([[position, start], path[1:], goal[None]])
@@ -277,6 +288,7 @@ def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:
     the axes, by which nodes are `blocked`."""
     free = ~blocked
     free[tuple(begin)] = True
+    # by faces only: between diagonal neighbours, the search may find the edge blocked
     parts, _ = ndimage.label(free)
     nodes: Ints = np.argwhere(parts == parts[tuple(begin)])
     return nodes[np.argmin(((nodes - goal) ** 2).sum(axis=1))]
@@ -294,8 +306,8 @@ def _box(low: Ints, count: ArrayLike) -> tuple[slice, ...]:
 
 
 class TruthRobot(MappingRobot):
-    """What a robot does that knows the world. It is a reference, not an upper bound: it takes the
-    shortest path that its voxels allow, and that may pass close to solids."""
+    """Robot that knows the world. It is a reference, not an upper bound: it takes the shortest path
+    that its voxels allow, which may pass close to solids."""
 
     def __init__(self, world: World | Place):
         super().__init__(Returns())  # which it does not ask
@@ -308,4 +320,4 @@ class TruthRobot(MappingRobot):
         return occupied, occupied.astype(np.float32)
 
     def _see(self, observation: Observation) -> None:
-        """Nothing."""
+        """Ignore scans: the truth is known."""

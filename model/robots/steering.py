@@ -23,7 +23,7 @@ LAG_S = 0.3
 SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5
-"""What it flies in the narrowest places, metres a second."""
+"""Speed in the narrowest places, metres a second."""
 STRAIGHT_M = 0.1
 """Room that it keeps from what lies straight ahead, metres."""
 TURN = 2.0
@@ -49,6 +49,7 @@ def velocity_to(
     w, x, y, z = observation["quaternion"].tolist()
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     course = math.atan2(direction[1], direction[0])
+    # nearly straight up or down, the course says little of where to look
     level = math.hypot(direction[0], direction[1]) > 0.2 * length
     turn = TURN * math.remainder(course - yaw, math.tau) if level else 0.0
     velocity = direction * (speed / max(length, 1e-9))
@@ -76,7 +77,7 @@ def follow(
         path: (n, 3) from the vehicle on, world, metres.
         observation: See `Simulation.observe`.
         about: See `Simulation.about`.
-        room: Function from points (n, 3) to distances from what counts as occupied, (n,), metres.
+        room: Function from points (n, 3) to distances from occupied voxels, (n,), metres.
 
     Returns:
         The action (4,).
@@ -97,25 +98,28 @@ def follow(
         edges = np.minimum(points - low, high - points).min(axis=1)
         return np.minimum(room(points) - radius, edges)
 
+    # nearer, until the straight line there is as free as the path: corners are not cut closer
     ahead = min(AHEAD_M + AHEAD_S * speed, left)
     while True:
         part = next_points(ahead)
         straight = np.linspace(part[0], part[-1], POINTS)
-        least = min(float(room(part).min()), radius + CUT_M)
-        if ahead <= MIN_AHEAD_M or room(straight).min() > least - 1e-6:
+        clearance = min(float(room(part).min()), radius + CUT_M)
+        if ahead <= MIN_AHEAD_M or room(straight).min() > clearance - 1e-6:
             break
         ahead *= 0.7
     look = min(sight, left)
     allowed = np.maximum(spare(next_points(look)) / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
+    # v² = v_end² + 2 a s: the vehicle brakes with half of its acceleration
     target = float(np.sqrt(allowed**2 + pull * way).min())
     target = min(fastest, target, math.sqrt(pull * left) + 0.1)
     if speed > SLOWEST_MPS:
-        beyond = np.linspace(0, sight, POINTS)
-        straight = path[0] + beyond[:, None] * observation["velocity"] / speed
+        # the path may turn where the vehicle cannot: it flies straight on until it has braked
+        along = np.linspace(0, sight, POINTS)
+        straight = path[0] + along[:, None] * observation["velocity"] / speed
         met = spare(straight) < STRAIGHT_M
         if met.any():
-            free = beyond[met.argmax()]
+            free = along[met.argmax()]
             target = min(target, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
     return velocity_to(part[-1] - path[0], target, observation, about)
 
@@ -148,6 +152,7 @@ class ReactiveRobot:
         to_goal = observation["goal"] - observation["position"]
         left = math.sqrt(float(to_goal @ to_goal))
         aim = to_goal / max(left, 1e-9)
+        # the goal's own direction lies between those of the grid
         ways = np.concatenate([self._directions, aim[None]])
         free = self._free(ways, observation, min(HORIZON_M, left + radius))
         angles = np.arccos(np.clip(ways @ aim, -1, 1))
@@ -162,8 +167,8 @@ class ReactiveRobot:
         speed = min(float(about["speed_mps"]), math.sqrt(2 * pull * room), math.sqrt(left) + 0.1)
         return velocity_to(ways[best], speed, observation, about)
 
-    def _free(self, ways: Floats, observation: Observation, most: float) -> Floats:
-        """How far each of the ways (n, 3) is free, (n,) metres, `most` at most."""
+    def _free(self, ways: Floats, observation: Observation, limit: float) -> Floats:
+        """How far each of the ways (n, 3) is free, (n,) metres, up to `limit`."""
         returned = is_return(observation["ranges"], min_range_m=0.0)
         returns = observation["points"][returned].astype(np.float64)
         points = rotate(observation["quaternion"], returns)
@@ -172,9 +177,11 @@ class ReactiveRobot:
         along = ways @ points.T
         offsets = squares - along * along
         wide = float(self._about["radius_m"]) + SPARE_M
+        # a way is a cylinder of the vehicle's width and some room
         in_way = (along > 0) & (offsets < wide * wide)
-        free = np.where(in_way, along, most).min(axis=1, initial=most)
+        free = np.where(in_way, along, limit).min(axis=1, initial=limit)
         edges = self._about["bounds"] - observation["position"]
+        # the bounds are walls, too, and no scan shows them; parallel ways never meet them
         with np.errstate(divide="ignore", invalid="ignore"):
             out = np.where(ways > 0, edges[1] / ways, np.where(ways < 0, edges[0] / ways, np.inf))
         return np.minimum(free, out.min(axis=1) - SPARE_M + float(self._about["radius_m"]))
