@@ -5,11 +5,10 @@ import json
 
 import pytest
 
-from tests.command_line import SMALL, done, example, rows
+from tests.command_line import SMALL, done, example, page, rows
 from tests.refusals import refuses_command
 
 EXAMPLES = """
-my_worlds.py   → own-worlds.md → class Vineyard
 my_methods.py  → bench.md    → class Grown
 my_commands.py → commands.md → def fill
 """
@@ -24,8 +23,9 @@ def here(tmp_path):
     for name in OTHERS:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
-    for name, page, words in rows(EXAMPLES):
-        (tmp_path / name).write_text(example(page, words))
+    for name, shown, words in rows(EXAMPLES):
+        (tmp_path / name).write_text(example(shown, words))
+    (tmp_path / "my_worlds.py").write_text(page("examples/my_worlds.py"))
     own = SMALL.replace('"pillar"', '"my_worlds:Vineyard"\ndifficulty = "hard"')
     (tmp_path / "vineyard.toml").write_text(own)
     return tmp_path
@@ -67,7 +67,7 @@ def regenerated(table):
 @pytest.fixture
 def mixture(standing, capsys):
     """A collection of hard worlds of pillars and of a kind of the user's."""
-    (standing / "my_worlds.py").write_text(example("own-worlds.md", "class Vineyard"))
+    (standing / "my_worlds.py").write_text(page("examples/my_worlds.py"))
     kinds = "pillar", "my_worlds:Vineyard"
     components = (f'[[component]]\nkind = "{kind}"\ndifficulty = "hard"\n' for kind in kinds)
     text = SMALL.replace('"pillar"', '"mixed"') + "".join(components)
