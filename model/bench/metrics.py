@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,6 +257,13 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
                 f"metric {name}: expected a scenegen.model.bench.metrics.Metric of maps, a "
                 "function of a map, or a Target"
             )
+        hints = get_type_hints(Metric)
+        for field in ("needs", "better"):
+            if (value := getattr(entry, field)) not in get_args(hints[field]):
+                raise ScenegenError(
+                    f"metric {name}: {field} = {value!a}, expected one of "
+                    f"{', '.join(get_args(hints[field]))}"
+                )
         if short in (*METRICS, *PLAN_METRICS, *metrics):
             raise ScenegenError(f"metric {name}: there is a metric called {short}; rename it")
         metrics[short] = entry
@@ -330,16 +337,26 @@ def measure(
         if metric.needs == "map":
             values[0, column] = _value(metric, scored_map)
         else:
-            values[:, column] = [metric.of(row) for row in rows]
+            values[:, column] = [_value(metric, row) for row in rows]
     return values
 
 
-def _value(metric: Metric, scored_map: ScoredMap) -> float:
-    """A metric of a map; a user's own code may fail, and a worker hands over no traceback."""
+def _value(metric: Metric, case: "ScoredMap | Sums") -> float:
+    """A metric of a map or a region; a user's own code may fail, and a worker hands over no
+    traceback."""
     try:
-        return float(metric.of(scored_map))
+        value = metric.of(case)
     except Exception as error:
         raise as_own_code_error(error) from None
+    if not np.isscalar(value) and np.shape(value) != ():
+        value = None
+    try:
+        return float(value)  # type: ignore[arg-type]  # a user's own may return anything
+    except (TypeError, ValueError):
+        raise ScenegenError(
+            f"metric {metric.title}: gave no number; expected one, or NaN where there is nothing "
+            "to measure (is a return missing?)"
+        ) from None
 
 
 @kernel
