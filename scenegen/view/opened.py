@@ -52,7 +52,8 @@ def looks_of_scan(path: Path) -> list[Look]:
         raise DatasetError(f"{path}: none of its points is a return")
     kept, notes = _thinned(returns, path.name)
     low, high = returns.min(axis=0), returns.max(axis=0)
-    position, rays = np.zeros(3), len(cloud.points)
+    position: Floats = np.zeros(3)
+    rays = len(cloud.points)
     if np.linalg.norm(np.clip(position, low, high)) > max(np.linalg.norm(high - low), 1.0):
         # map coordinates, such as UTM: nobody knows where the sensor was
         position, rays = (low + high) / 2, 0
