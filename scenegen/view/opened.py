@@ -54,7 +54,8 @@ def looks_of_scan(path: Path) -> list[Look]:
     low, high = returns.min(axis=0), returns.max(axis=0)
     position: Floats = np.zeros(3)
     rays = len(cloud.points)
-    if np.linalg.norm(np.clip(position, low, high)) > max(np.linalg.norm(high - low), 1.0):
+    to_box_m, diagonal_m = np.linalg.norm([np.clip(position, low, high), high - low], axis=1)
+    if to_box_m > max(float(diagonal_m), 1.0):
         # map coordinates, such as UTM: nobody knows where the sensor was
         position, rays = (low + high) / 2, 0
         notes.append(f"{path.name}: its points are far from 0 0 0, so the sensor is not drawn")
