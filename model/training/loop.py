@@ -30,7 +30,7 @@ from scenegen.model.bench.metrics import metrics_of
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
-from scenegen.model.config import VARIANTS, TrainConfig, is_own
+from scenegen.model.config import FIGURES, VARIANTS, TrainConfig, is_own
 from scenegen.model.losses import loss_of, summed
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.targets import BUILT_IN
@@ -47,8 +47,6 @@ from scenegen.model.training.device import (
 )
 from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
 
-RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
-"""Names of a run's figures, besides metrics, that no term of a loss may have."""
 PACKAGES = ("torch", "safetensors")
 """Packages whose versions a network's file records, besides those that a dataset records."""
 
@@ -474,7 +472,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             )
     terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
     steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
-    taken = {*metrics_of(network.targets), *RESERVED}
+    taken = {*metrics_of(network.targets), *FIGURES}
     for name, value in [*terms.items(), *steps.items()]:
         if not isinstance(value, Tensor) or value.ndim or name in taken:
             raise TrainingError(

@@ -190,18 +190,20 @@ def test_a_dataset_without_labels_is_refused(here, folders):
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("settings", "reason"),
     [
-        {"targets": ("occupancy",)},
-        {"targets": ("a:Known",)},
-        {"targets": ("a:Occupancy",), "variant": "tudf"},
-        {"targets": ("a:Classes", "b:Classes")},
-        {"targets": ("a:Classes",), "channels": (0,)},
-        {"targets": ("classes",)},
+        ({"targets": ("occupancy",)}, "occupancy is a task of the variant proposed"),
+        ({"targets": ("a:Known",)}, "known is an array or a term"),
+        ({"targets": ("a:Occupancy",), "variant": "tudf"}, "occupancy is an array or a term"),
+        ({"targets": ("a:Free",), "inputs": ("observed", "free")}, "free is an input"),
+        ({"targets": ("a:Gradient",)}, "gradient is a figure of every run"),
+        ({"targets": ("a:Classes", "b:Classes")}, "classes is another target"),
+        ({"targets": ("a:Classes",), "channels": (0,)}, "channels"),
+        ({"targets": ("classes",)}, "unknown target"),
     ],
 )
-def test_names_of_other_maps_are_refused(settings):
-    with pytest.raises(ValueError, match=r"targets|channels|unknown target"):
+def test_names_of_other_maps_are_refused(settings, reason):
+    with pytest.raises(ValueError, match=reason):
         NetworkConfig(**settings)
 
 
