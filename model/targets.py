@@ -46,8 +46,8 @@ class Target:
     maximum = np.inf
     """The greatest value of a prediction."""
     metrics: ClassVar[Mapping[str, Any]] = {}
-    """Metrics of its own by name, each a `scenegen.model.bench.metrics.Metric`, for the bench and
-    validation."""
+    """Metrics of its own by name, for the bench and validation: each a function of a
+    `scenegen.model.bench.metrics.ScoredMap`, or a `Metric` in the same module."""
 
     @abstractmethod
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:

@@ -164,6 +164,11 @@ class Iou(Classes):
     def loss(self, output, batch, objective): return output.mean()
 class Unweighted(Classes):
     def loss(self, output, batch, objective): return 3.0
+class Mean(Classes):
+    def loss(self, output, batch, objective): return output.float().mean()
+class Best(Mean): metrics = {"iou": lambda scored: 1.0}
+class Near(Mean): metrics = {"rmse": lambda scored: 1.0}
+class Numeric(Mean): metrics = {"one": 1.0}
 """
 SAID = """
 Plain       → expected a subclass of
@@ -173,6 +178,9 @@ Missing     → finds no number of channels
 Shapeless   → shapeless is an array of shape
 Iou         → iou is .*no metric has
 Unweighted  → unweighted is 3.0
+Best        → metric iou of the target best: there is a metric called best_iou; rename
+Near        → metric rmse of the target near: there is a metric called near_rmse; rename
+Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
 """
 
 
@@ -182,6 +190,20 @@ def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name, said):
     with pytest.raises(ScenegenError, match=said):
         train(["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
     assert not (here / "run").exists()
+
+
+PLAIN = """
+import my_labels
+class Classes(my_labels.Classes):
+    metrics = {"one": lambda scored: 1.0}
+"""
+
+
+def test_a_metric_of_a_target_may_be_a_function(here):
+    (here / "plain.py").write_text(PLAIN)
+    settings = config_of(targets=("plain:Classes",), epochs=1)
+    (row,) = train(["data/street"], settings, here / "run")
+    assert row["val_classes_one"] == 1
 
 
 def test_a_dataset_without_labels_is_refused(here, folders):
