@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
+from lidarsim.parameters import short_repr
 from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
@@ -333,20 +334,27 @@ def measure(
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     # NaN stays where a metric of whole maps has no value in a region
     values = np.full((len(rows), len(metrics)), NAN)
-    for column, metric in enumerate(metrics.values()):
+    for column, (name, metric) in enumerate(metrics.items()):
         if metric.needs == "map":
-            values[0, column] = _value(metric, scored_map)
+            values[0, column] = _value(name, metric, scored_map)
         else:
-            values[:, column] = [metric.of(row) for row in rows]
+            values[:, column] = [_value(name, metric, row) for row in rows]
     return values
 
 
-def _value(metric: Metric, scored_map: ScoredMap) -> float:
+def _value(name: str, metric: Metric, measured: ScoredMap | Sums) -> float:
     """A metric of a map; a user's own code may fail, and a worker hands over no traceback."""
     try:
-        return float(metric.of(scored_map))
+        value = metric.of(measured)
     except Exception as error:
         raise as_own_code_error(error) from None
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ScenegenError(
+            f"metric {name}: gives {short_repr(value)}, expected a number, or NaN where there is "
+            "nothing to measure"
+        ) from None
 
 
 @kernel

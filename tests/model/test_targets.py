@@ -169,6 +169,8 @@ class Mean(Classes):
 class Best(Mean): metrics = {"iou": lambda scored: 1.0}
 class Near(Mean): metrics = {"rmse": lambda scored: 1.0}
 class Numeric(Mean): metrics = {"one": 1.0}
+class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
+class Wordy(Mean): metrics = {"one": lambda scored: "high"}
 """
 SAID = """
 Plain       → expected a subclass of
@@ -180,6 +182,8 @@ Iou         → iou is .*no metric has
 Unweighted  → unweighted is 3.0
 Best        → metric iou of the target best: there is a metric called best_iou; rename
 Near        → metric rmse of the target near: there is a metric called near_rmse; rename
+Failing     → of wrong.py: KeyError: 'absent'
+Wordy       → metric wordy_one: gives 'high', expected a number
 Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
 """
 
