@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, ScenegenError, empty_split
+from scenegen.base.errors import DatasetError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Rows, Split
@@ -41,7 +41,7 @@ from scenegen.model.bench.trials import (
 from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, UNSCORED, Case, walled
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
-from scenegen.model.targets import Target, truth_of
+from scenegen.model.targets import MissingPartError, Target, truth_of
 from scenegen.truth import distance_field
 from scenegen.view.look import evenly
 
@@ -295,7 +295,8 @@ def measured_targets(
         Targets by name, those with metrics only.
 
     Raises:
-        DatasetError: The dataset lacks the truth of a named target.
+        DatasetError: The dataset lacks the truth of a named target, or a truth is not a map.
+        OwnCodeError: A target's code failed.
     """
     named = find_metrics(config.metrics)[1]
     targets, sample, grid = dict[str, Target](), split[index], split.dataset.grid
@@ -307,7 +308,7 @@ def measured_targets(
             # a method may predict more than the dataset has; what the user names, it must have
             try:
                 truth_of(target, name, sample, grid)
-            except ScenegenError as error:
+            except MissingPartError as error:
                 if name in named:
                     raise DatasetError(
                         f"{split.dataset.name}: has no truth of the target {name} ({error})"

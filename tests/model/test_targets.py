@@ -5,6 +5,7 @@ import dataclasses
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import h5py
@@ -95,6 +96,16 @@ def test_metrics_of_classes_need_their_truth(here, folders, capsys):
     assert "has no truth" in refused(capsys, f"{words} --metric my_labels:Classes")
 
 
+def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(here, capsys):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    with Path("my_labels.py").open("a") as file:
+        file.write("    def truth(self, sample, grid):\n        return sample.voxel_class / None\n")
+    target_called.cache_clear()
+    sys.modules.pop("my_labels", None)
+    words = "bench data/street --quick --quiet --workers 1 --weights my_labels:Classes@run"
+    assert re.search(r"my_labels.py: TypeError", refused(capsys, words))
+
+
 def test_a_scan_is_stored_with_its_classes(here, capsys):
     train(["data/street"], config_of(epochs=1), here / "run")
     completer = Completer.from_pretrained("my_labels:Classes@run")
@@ -169,6 +180,8 @@ class Mean(Classes):
 class Best(Mean): metrics = {"iou": lambda scored: 1.0}
 class Near(Mean): metrics = {"rmse": lambda scored: 1.0}
 class Numeric(Mean): metrics = {"one": 1.0}
+class Normal(Mean):
+    def truth(self, sample, grid): return sample.return_normal[..., 0]
 class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
 class Wordy(Mean): metrics = {"one": lambda scored: "high"}
 """
@@ -182,6 +195,7 @@ Iou         → iou is .*no metric has
 Unweighted  → unweighted is 3.0
 Best        → metric iou of the target best: there is a metric called best_iou; rename
 Near        → metric rmse of the target near: there is a metric called near_rmse; rename
+Normal      → Normal: needs return_normal, which only datasets made with --normals have
 Failing     → of wrong.py: KeyError: 'absent'
 Wordy       → metric wordy_one: gives 'high', expected a number
 Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
