@@ -111,6 +111,8 @@ class DatasetResult:
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
     methods: dict[str, MethodResult]
+    without_truth: tuple[str, ...] = ()
+    """Predicted targets whose metrics are not measured: the dataset lacks a part for the truth."""
 
     @property
     def metrics(self) -> Mapping[str, Metric]:
@@ -249,6 +251,12 @@ def bench(
     # here and not in the workers: each would complete the validation maps again
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     targets = measured_targets(methods, config, split, numbers[0])
+    predicted = {
+        name
+        for method in methods
+        for name, target in getattr(method, "targets", {}).items()
+        if target.metrics
+    }
     metrics = metrics_of(targets, config.metrics)
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
@@ -277,6 +285,7 @@ def bench(
             method.name: _joined(method, best, metrics, results, trials)
             for method, best, results in zip(methods, tuned, by_method, strict=True)
         },
+        without_truth=tuple(sorted(predicted - targets.keys())),
     )
 
 

@@ -93,6 +93,7 @@ def test_metrics_of_classes_need_their_truth(here, folders, capsys):
     words = f"bench {folders[0]} --quick --quiet --workers 1 --weights my_labels:Classes@run"
     done(capsys, f"{words} --method empty")
     assert "classes_miou" not in Path("bench/report.json").read_text()
+    assert "metrics of classes are left out" in Path("bench/report.md").read_text()
     assert "has no truth" in refused(capsys, f"{words} --metric my_labels:Classes")
 
 
