@@ -16,6 +16,7 @@ import ast
 import dataclasses
 import importlib
 import inspect
+import math
 import re
 import sys
 from pathlib import Path
@@ -33,6 +34,10 @@ ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)"
 UNIT = re.compile(r", (metres|degrees)( a second( squared| cubed)?)?(?=[.;:]| \(paper)")
 """A unit at the end of a meaning: names end with their units, so tables leave it out."""
 WORLD = "; one value a world"
+AREA = re.compile(r",? per square metre(?=\.)")
+"""What the end `density` of a name tells."""
+CALIBRATED = "calibrated, results/calibration.md."
+"""Source of some defaults of `geometric` and `pillar`, which the page names above its tables."""
 SHARED = ("size_m", "ground", "ground_m")
 """Parameters of every kind of worlds, which stand in a table of all kinds."""
 
@@ -92,9 +97,8 @@ def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
             meaning = re.sub("^Share of (.)", lambda found: found[1].upper(), meaning)
         if str(bounds) != str(usual):
             meaning += f" Allowed: {_allowed(bounds)}."
-        if source:
-            page = "results/calibration.md"
-            meaning += f" Source: {source}".replace(f"calibrated, {page}", f"[calibrated]({page})")
+        if source and source != CALIBRATED:
+            meaning += f" Source: {source}"
         levels = [
             kind.graded.get(level, {}).get(item.name, item.default)
             for level in ("easy", "medium", "hard")
@@ -104,7 +108,7 @@ def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
         cells = (
             f"`{item.name}`{star}",
             values[0] if len(set(values)) == 1 else " · ".join(values),
-            meaning.replace(f"{WORLD}, drawn so that", ";").replace(WORLD, ""),
+            AREA.sub("", meaning.replace(f"{WORLD}, drawn so that", ";").replace(WORLD, "")),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
@@ -139,10 +143,12 @@ def field_default(kind: type, name: str) -> Any:
 
 
 def _allowed(bounds: Bounds) -> str:
-    """Bounds in as few words as a table needs."""
-    return (
-        str(bounds).replace("a finite number", "").replace("a ", "").strip().removeprefix("from ")
-    )
+    """Bounds as a table writes them, such as "0–1", "±90" or ">0, ≤80"; "" without bounds."""
+    low, high = bounds.minimum, bounds.maximum
+    if math.isfinite(low) and math.isfinite(high):
+        return f"±{high:.12g}" if low == -high else f"{low:.12g}–{high:.12g}"
+    limits = ((">", bounds.above), ("≥", low), ("<", bounds.below), ("≤", high))
+    return ", ".join(f"{sign}{value:.12g}" for sign, value in limits if math.isfinite(value))
 
 
 def sensors() -> str:
@@ -157,8 +163,8 @@ def sensors() -> str:
             f"[{name}](pictures/sensors/{name}.png)",
             " × ".join(map(str, sensor.shape)),
             f"{last:.2g} s" if last else "at once",
-            f"{height.min():g}° … {height.max():g}°",
-            f"{sensor.min_range_m:g} … {sensor.max_range_m:g} m",
+            f"{height.min():g}…{height.max():g}°",
+            f"{sensor.min_range_m:g}…{sensor.max_range_m:g} m",
             f"`{sensor.noise}`",
         )
         lines.append(f"| {' | '.join(cells)} |")

@@ -3,11 +3,10 @@ of the user's."""
 
 import pytest
 
-from tests.command_line import SMALL, example, rows
+from tests.command_line import SMALL, example, page, rows
 from tests.refusals import refuses_command
 
 EXAMPLES = """
-my_worlds.py   → own-worlds.md → class Vineyard
 my_methods.py  → bench.md    → class Grown
 my_commands.py → commands.md → def fill
 """
@@ -22,8 +21,9 @@ def here(tmp_path):
     for name in OTHERS:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
-    for name, page, words in rows(EXAMPLES):
-        (tmp_path / name).write_text(example(page, words))
+    for name, shown, words in rows(EXAMPLES):
+        (tmp_path / name).write_text(example(shown, words))
+    (tmp_path / "my_worlds.py").write_text(page("examples/my_worlds.py"))
     own = SMALL.replace('"pillar"', '"my_worlds:Vineyard"\ndifficulty = "hard"')
     (tmp_path / "vineyard.toml").write_text(own)
     return tmp_path

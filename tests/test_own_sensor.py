@@ -10,9 +10,9 @@ from tests.command_line import example, page, refused, rows
 from tests.refusals import check_wording
 
 FILES = {
-    "sensor.md": "my_lidar.toml my_rays.toml my_sensor.py my.toml",
+    "sensor.md": "my_lidar.toml my_rays.toml my.toml",
     "noise.md": "my_noise.py",
-    "simulation.md": "my_engine.py make.py",
+    "simulation.md": "make.py",
 }
 """What the pages show."""
 SMALL = """petals = 5.7
@@ -40,6 +40,8 @@ def examples(tmp_path):
         for name in names.split():
             text = example(shown, f"# {name}\n").replace("petals = 5.7\n", SMALL)
             (tmp_path / name).write_text(text, encoding="utf-8")
+    for name in ("my_sensor.py", "my_engine.py"):
+        (tmp_path / name).write_text(page(f"examples/{name}"), encoding="utf-8")
     return tmp_path
 
 

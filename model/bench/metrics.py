@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from scipy import ndimage
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
-from lidarsim.parameters import short_repr
 from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
@@ -265,7 +264,14 @@ def _own_metric(name: str, short: str, entry: Any, taken: Collection[str]) -> Me
             f"metric {name}: expected a scenegen.model.bench.metrics.Metric of maps, a "
             "function of a map, or a Target"
         )
-    if short in (*METRICS, *PLAN_METRICS, *FIGURES, *taken):
+    hints = get_type_hints(Metric)
+    for field in ("needs", "better"):
+        if (value := getattr(entry, field)) not in get_args(hints[field]):
+            raise ScenegenError(
+                f"metric {name}: {field} = {value!a}, expected one of "
+                f"{', '.join(get_args(hints[field]))}"
+            )
+    if short in (*METRICS, *PLAN_METRICS, *taken):
         raise ScenegenError(f"metric {name}: there is a metric called {short}; rename it")
     return entry
 
@@ -288,7 +294,7 @@ def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict
     for target, kind in targets.items():
         for name, metric in kind.metrics.items():
             short, label = f"{target}_{name}", f"{name} of the target {target}"
-            of_targets[short] = _own_metric(label, short, metric, of_targets)
+            of_targets[short] = _own_metric(label, short, metric, (*FIGURES, *of_targets))
     return {**METRICS, **of_targets, **find_metrics(names)[0]}
 
 
@@ -334,26 +340,29 @@ def measure(
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     # NaN stays where a metric of whole maps has no value in a region
     values = np.full((len(rows), len(metrics)), NAN)
-    for column, (name, metric) in enumerate(metrics.items()):
+    for column, metric in enumerate(metrics.values()):
         if metric.needs == "map":
-            values[0, column] = _value(name, metric, scored_map)
+            values[0, column] = _value(metric, scored_map)
         else:
-            values[:, column] = [_value(name, metric, row) for row in rows]
+            values[:, column] = [_value(metric, row) for row in rows]
     return values
 
 
-def _value(name: str, metric: Metric, measured: ScoredMap | Sums) -> float:
-    """A metric of a map; a user's own code may fail, and a worker hands over no traceback."""
+def _value(metric: Metric, case: "ScoredMap | Sums") -> float:
+    """A metric of a map or a region; a user's own code may fail, and a worker hands over no
+    traceback."""
     try:
-        value = metric.of(measured)
+        value = metric.of(case)
     except Exception as error:
         raise as_own_code_error(error) from None
+    if not np.isscalar(value) and np.shape(value) != ():
+        value = None
     try:
-        return float(value)
+        return float(value)  # type: ignore[arg-type]  # a user's own may return anything
     except (TypeError, ValueError):
         raise ScenegenError(
-            f"metric {name}: gives {short_repr(value)}, expected a number, or NaN where there is "
-            "nothing to measure"
+            f"metric {metric.title}: gave no number; expected one, or NaN where there is nothing "
+            "to measure (is a return missing?)"
         ) from None
 
 

@@ -236,7 +236,7 @@ def _show_split(name: str, split: Json) -> None:
     "--output",
     "--out",
     "out",
-    type=OutputFile(),
+    type=OutputFile(".html"),
     help="Write one page, which needs no server.  [default: serve all samples]",
 )
 @index_option

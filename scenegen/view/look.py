@@ -94,7 +94,7 @@ class Look:
     @property
     def has_sensor(self) -> bool:
         """Whether something was scanned, and not a world or a map alone is shown."""
-        return bool(self.scans) or "observed" in self.masks
+        return self.rays > 0 or (not self.scans and "observed" in self.masks)
 
     @property
     def points(self) -> Floats | None:
@@ -122,9 +122,10 @@ class Look:
             rows["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
         if self.points is not None:
             several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
-            rows["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
+            of_rays = f" of {self.rays} rays" if self.rays else ""
+            rows["returns"] = f"{len(self.points)}{of_rays}{several}"
             # ranges from this pose only: earlier scans were taken elsewhere
-            if len(first_scan := self.scans[0]):
+            if self.rays and len(first_scan := self.scans[0]):
                 ranges = np.linalg.norm(first_scan - self.position, axis=1)
                 rows["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:

@@ -160,7 +160,8 @@ def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
         predictions = prediction or {}
     # a page draws paths on a prediction: for a path alone, the truth is one
     if path is not None and not predictions:
-        predictions = {"truth": look.masks["occupancy"]}
+        known = "occupancy" if "occupancy" in look.masks else "observed"
+        predictions = {"truth" if known == "occupancy" else "seen": look.masks[known]}
     if clashing := predictions.keys() & look.masks.keys():  # a page has one layer a name
         raise DatasetError(
             f"prediction: {', '.join(clashing)}: a sample's own layer; give another name"
@@ -174,6 +175,9 @@ def _with_guesses(look: Look, prediction: Any, path: Any) -> Look:
 def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
+        # another name may be of a scan or of weights, which a page would replace
+        if Path(out).suffix != ".html":
+            raise DatasetError(f"{os.fspath(out)}: expected a name that ends in .html")
         write_result(Path(out), result.html.encode())
     elif "ipykernel" not in sys.modules:  # not within a notebook
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:

@@ -51,19 +51,25 @@ def looks_of_scan(path: Path) -> list[Look]:
     if not len(returns):
         raise DatasetError(f"{path}: none of its points is a return")
     kept, notes = _thinned(returns, path.name)
+    low, high = returns.min(axis=0), returns.max(axis=0)
+    position, rays = np.zeros(3), len(cloud.points)
+    if np.linalg.norm(np.clip(position, low, high)) > max(np.linalg.norm(high - low), 1.0):
+        # map coordinates, such as UTM: nobody knows where the sensor was
+        position, rays = (low + high) / 2, 0
+        notes.append(f"{path.name}: its points are far from 0 0 0, so the sensor is not drawn")
     # a metre around the sensor at least, so that a flat scan has a box
-    low, high = np.minimum(returns.min(axis=0), -1.0), np.maximum(returns.max(axis=0), 1.0)
+    low, high = np.minimum(low, position - 1.0), np.maximum(high, position + 1.0)
     grid, origin = box_around(low, high)
     return [
         Look(
             name=path.name,
             grid=grid,
             origin=origin,
-            position=np.zeros(3),
+            position=position,
             quaternion=LEVEL,
             masks={"observed": _cells(returns, grid, origin)},
             scans=[kept],
-            rays=len(cloud.points),
+            rays=rays,
             missing=tuple(notes),
         )
     ]
@@ -202,8 +208,8 @@ def box_around(low: Floats, high: Floats) -> tuple[GridSpec, Floats]:
             break
     else:
         raise DatasetError(
-            f"a box of {' × '.join(f'{length:.0f}' for length in extent)} m: expected what "
-            f"{MAX_CELLS} voxels of {EDGES_M[-1]:g} m hold; cut it"
+            f"a box of {' × '.join(f'{length:.3g}' for length in extent)} m: expected what "
+            f"{MAX_CELLS} voxels of {EDGES_M[-1]:g} m hold; take far points out, or cut it"
         )
     grid = GridSpec(shape=shape, voxel_m=edge)
     return grid, np.asarray(low, float)

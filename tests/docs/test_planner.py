@@ -1,10 +1,10 @@
-"""A planner of one's own, as docs/planning.md shows it."""
+"""A planner of one's own, as docs/examples shows it."""
 
 import numpy as np
 import pytest
 
 from scenegen.model.bench.trials import run_trial
-from tests.command_line import example
+from tests.command_line import page
 from tests.model.conftest import make_dataset
 
 
@@ -12,7 +12,7 @@ def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
     ran = {}
-    exec(example("planning.md", "def straight"), ran)
+    exec(page("examples/my_planner.py"), ran)
     goals, grid, occupancy = ran["trials"].goals, ran["grid"], ran["sample"].occupancy
     assert len(goals) > 3
     start = ran["sample"].position - ran["sample"].origin

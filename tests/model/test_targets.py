@@ -198,7 +198,7 @@ Best        → metric iou of the target best: there is a metric called best_iou
 Near        → metric rmse of the target near: there is a metric called near_rmse; rename
 Normal      → Normal: needs return_normal, which only datasets made with --normals have
 Failing     → of wrong.py: KeyError: 'absent'
-Wordy       → metric wordy_one: gives 'high', expected a number
+Wordy       → metric wordy one: gave no number
 Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
 """
 

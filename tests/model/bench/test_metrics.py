@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from lidarsim import GridSpec
 from scenegen.base.errors import ScenegenError
 from scenegen.cli.bench import show_tables
-from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric, ScoredMap, chamfer
+from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric, ScoredMap, chamfer, measure
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from tests.command_line import example, page
@@ -96,6 +96,14 @@ def test_chamfer_of_an_empty_surface_is_the_diagonal():
         assert chamfer(judged(*pair, scored)) == pytest.approx(diagonal)
 
 
+@pytest.mark.parametrize("answer", [None, "much", np.ones(3)])
+def test_a_metric_that_gives_no_number_is_refused(answer):
+    full = np.ones(GRID.shape, bool)
+    metrics = {"mine": Metric("mine", lambda case: answer)}
+    with pytest.raises(ScenegenError, match="mine: gave no number"):
+        measure(judged(full, full, full), metrics)
+
+
 def test_a_metric_of_ones_own_stands_in_every_report(dataset, tmp_path, standing):
     (standing / "my_metrics.py").write_text(example("metrics.md", "# my_metrics.py"))
     words = ("--metric", "my_metrics:covered", "--metric", "my_metrics:height_error")
@@ -105,7 +113,11 @@ def test_a_metric_of_ones_own_stands_in_every_report(dataset, tmp_path, standing
     assert returns["height_error"]["mean"] <= 0 == truth["height_error"]["mean"]
     assert "covered" not in returns["unobserved"]
     assert "height error, m" in (tmp_path / "report.md").read_text()
-    (standing / "odd.py").write_text("iou = max\nnumber = 3\ndef fails(m): return m.absent")
-    for name, words in (("iou", "rename it"), ("number", "expected a .*Metric"), ("fails", "line")):
+    (standing / "odd.py").write_text(
+        "iou = max\nnumber = 3\ndef fails(m): return m.absent\n"
+        "from scenegen.model.bench.metrics import Metric\nup = Metric('up', abs, better='up')"
+    )
+    refusals = {"iou": "rename it", "number": "a .*Metric", "fails": "line", "up": "better = 'up'"}
+    for name, words in refusals.items():
         with pytest.raises(ScenegenError, match=words):
             report_of(dataset, tmp_path, "--metric", f"odd:{name}", names=("returns",))

@@ -13,7 +13,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED
 from scenegen.base.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course
-from tests.command_line import example
+from tests.command_line import page
 from tests.conftest import hall_in
 from tests.scenegen import cases
 
@@ -132,18 +132,18 @@ def test_misuse_ends_in_one_line(states, code, message):
 
 @pytest.mark.slow
 def test_stable_baselines_checks_it_and_learns(monkeypatch, tmp_path):
-    """By the page's recipe, but for the number of steps, and of processes: none."""
+    """By the recipe of docs/examples, but for the number of steps, and of processes: none."""
     pytest.importorskip("stable_baselines3")
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_checker import check_env
     from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecNormalize
 
     monkeypatch.chdir(tmp_path)
-    page = {"__name__": "learn"}
-    exec(example("own-robot.md", "# learn.py"), page)
+    names = {"__name__": "learn"}
+    exec(page("examples/learn.py"), names)
     check_env(made(world="pillar"))
-    check_env(page["make"]())
-    envs = VecNormalize(VecCheckNan(DummyVecEnv([page["make"]] * 2), raise_exception=True))
+    check_env(names["make"]())
+    envs = VecNormalize(VecCheckNan(DummyVecEnv([names["make"]] * 2), raise_exception=True))
     model = PPO("MlpPolicy", envs, n_steps=512, seed=0, device="cpu")
     before = copy.deepcopy(model.policy.state_dict())
     model.learn(3000)

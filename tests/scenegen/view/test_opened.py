@@ -17,7 +17,7 @@ from scenegen.draw.source import read_world
 from scenegen.logs import LogScan
 from scenegen.logs.record import write_log
 from scenegen.view import opened
-from scenegen.view.notebook import page_of
+from scenegen.view.notebook import page_of, show
 from scenegen.worlds.place import encode_map
 from tests.command_line import done, refused
 from tests.scenegen import refuses
@@ -57,6 +57,14 @@ def test_a_scan_lies_in_its_box(cloud):
     cells = look.grid.index(POINTS, look.origin)
     assert look.masks["observed"].sum() == 3
     assert look.masks["observed"][tuple(cells.T)].all()
+
+
+def test_points_in_map_coordinates_have_a_box_without_a_sensor(tmp_path):
+    np.save(tmp_path / "utm.npy", POINTS + np.array([5e5, 5.4e6, 120.0]))
+    (look,) = opened.looks_of_scan(tmp_path / "utm.npy")
+    assert look.grid.voxel_m == 0.05
+    assert not look.has_sensor
+    assert look.figures()["returns"] == "3"
 
 
 def test_a_dense_scan_is_thinned_and_says_so(tmp_path, monkeypatch):
@@ -131,6 +139,13 @@ def test_view_writes_a_page_of_a_log(capsys, log, tmp_path):
     assert [sample["name"] for sample in samples_of(page)] == ["0.00 s", "1.00 s", "2.00 s"]
     assert '"film": true' in page
     assert TYPES[what_is(log)].film
+
+
+def test_a_page_replaces_no_other_file(capsys, cloud, tmp_path):
+    before = cloud.read_bytes()
+    assert ".html" in refused(capsys, "view", cloud, "-o", cloud)
+    refuses("html", lambda: show(str(cloud), out=cloud))
+    assert cloud.read_bytes() == before
 
 
 def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, cloud, tmp_path):
