@@ -352,13 +352,13 @@ def _value(metric: Metric, case: "ScoredMap | Sums") -> float:
     """A metric of a map or a region; a user's own code may fail, and a worker hands over no
     traceback."""
     try:
-        value = metric.of(case)
+        value: Any = metric.of(case)  # a user's own may return anything
     except Exception as error:
         raise as_own_code_error(error) from None
     if not np.isscalar(value) and np.shape(value) != ():
         value = None
     try:
-        return float(value)  # type: ignore[arg-type]  # a user's own may return anything
+        return float(value)
     except (TypeError, ValueError):
         raise ScenegenError(
             f"metric {metric.title}: gave no number; expected one, or NaN where there is nothing "
