@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 292_500, "benchmarks": 33_000, "tests": 223_000}
+TOKENS = {"product": 294_000, "benchmarks": 33_000, "tests": 206_000}
 FILES = 221
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what

@@ -18,7 +18,7 @@ import numpy as np
 from lidarsim import GridSpec, Sensor
 from scenegen.base.errors import DatasetError
 from scenegen.base.files import write_result
-from scenegen.base.paths import TYPES, function_for, what_is
+from scenegen.base.paths import TYPES, check_type, function_for, what_is
 from scenegen.dataset.locate import locate
 from scenegen.draw.sample import Sample
 from scenegen.view.look import Guess, Look, Route, look_at
@@ -134,14 +134,15 @@ def page_of(name: str) -> Shown:
     Raises:
         DatasetError: The path does not exist, or has no type, or one that cannot be shown.
     """
-    if not TYPES[what_is(name)].shows:
+    path_type = TYPES[what_is(name)]
+    check_type(name, *(known for known, kind in TYPES.items() if kind.shows or kind.draws))
+    if not path_type.shows:
         figure = function_for(name, "draws")(Path(name))
         title = f"<title>{html.escape(name)}</title>"
         return Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
     looks = function_for(name, "shows")(locate(name))
     notes = [line for look in looks for line in look.missing]
-    content = page(looks, title=Path(name).name, notes=notes, film=TYPES[what_is(name)].film)
-    path_type = TYPES[what_is(name)]
+    content = page(looks, title=Path(name).name, notes=notes, film=path_type.film)
     drawn = path_type.draws and not looks[0].guesses
     draw = partial(function_for(name, "draws"), Path(name)) if drawn else partial(_draw, looks[0])
     return Shown(html=content, looks=looks, draw=draw)

@@ -91,7 +91,7 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     (sample,) = Seen((here / "page.html").read_text(encoding="utf-8")).data()["samples"]
     (look,) = scenegen.show(here / "done.h5", out=here / "shown.html").looks
     assert sample["name"] == look.name == "done"
-    picture = scenegen.show(str(here / "scan.pcd"), out=here / "picture.html")
+    picture = scenegen.show(str(here / "run"), out=here / "picture.html")
     assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
     assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)

@@ -99,9 +99,11 @@ def test_chamfer_of_an_empty_surface_is_the_diagonal():
 @pytest.mark.parametrize("answer", [None, "much", np.ones(3)])
 def test_a_metric_that_gives_no_number_is_refused(answer):
     full = np.ones(GRID.shape, bool)
+    case = judged(full, full, full)
+    case = replace(case, truth={"occupancy": full, "tudf": np.zeros(GRID.shape, np.float32)})
     metrics = {"mine": Metric("mine", lambda case: answer)}
     with pytest.raises(ScenegenError, match="mine: gave no number"):
-        measure(judged(full, full, full), metrics)
+        measure(case, metrics)
 
 
 def test_a_metric_of_ones_own_stands_in_every_report(dataset, tmp_path, standing):
