@@ -1,9 +1,11 @@
 """A user's own kind, method and command, as the docs show them, by the installed script in a folder
 of the user's."""
 
+import json
+
 import pytest
 
-from tests.command_line import SMALL, example, page, rows
+from tests.command_line import SMALL, done, example, page, rows
 from tests.refusals import refuses_command
 
 EXAMPLES = """
@@ -62,6 +64,52 @@ def regenerated(table):
     return line
 
 
+@pytest.fixture
+def mixture(standing, capsys):
+    """A collection of hard worlds of pillars and of a kind of the user's."""
+    (standing / "my_worlds.py").write_text(page("examples/my_worlds.py"))
+    kinds = "pillar", "my_worlds:Vineyard"
+    components = (f'[[component]]\nkind = "{kind}"\ndifficulty = "hard"\n' for kind in kinds)
+    text = SMALL.replace('"pillar"', '"mixed"') + "".join(components)
+    (standing / "mix.toml").write_text(text)
+    done(capsys, "generate --recipe mix.toml -n 6 --val 0 --test 0 --out mix --workers 1 --quiet")
+    return standing / "mix"
+
+
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [
+        ("pillar", "pillar pillar-hard"),
+        ("Vineyard", "Vineyard Vineyard-hard my_worlds:Vineyard my_worlds:Vineyard-hard"),
+    ],
+)
+def test_a_plain_kind_takes_every_difficulty(folder, names, mixture, capsys):
+    for name in names.split():
+        done(capsys, f"take mix --kind {name} -o taken.json --quiet --workers 1")
+        (taken,) = json.loads((mixture.parent / "taken.json").read_text())["datasets"]
+        assert (taken["path"], taken["samples"]) == (f"mix/{folder}-hard", {"train": [0, 1, 2]})
+
+
+@pytest.mark.parametrize("kind", ["pillar-medium", "Vineyard-easy", "cave"])
+def test_kinds_are_named_where_none_is_taken(kind, mixture, capsys):
+    refuses_command(capsys, f"take mix --kind {kind} -o none.json")
+
+
+def test_a_collections_worlds_of_the_kind_are_drawn_again(mixture, capsys):
+    def skipped(options):
+        report = json.loads(done(capsys, f"verify mix --workers 1 --json {options}"))
+        return {
+            check["name"]: check["skipped"]
+            for check in report["checks"]
+            if check["name"].endswith("regenerated")
+        }
+
+    pillar, vineyard = "pillar-hard: regenerated", "Vineyard-hard: regenerated"
+    assert skipped("") == {pillar: False, vineyard: True}
+    assert skipped("--kind my_worlds:Vineyard") == {pillar: False, vineyard: False}
+    refuses_command(capsys, "verify mix --kind my_worlds:Orchard")
+
+
 LACKING = f"""
 generate --quiet --kind absent:Vineyard
 generate --quiet --kind wrong:Other
@@ -77,6 +125,8 @@ bench made --quiet --method wrong:Worse --workers 2
 wrong:failing
 ends:all
 generate --quiet --kind wrong:Leafy --workers 1
+generate --quiet --kind wrong:Heavy --workers 1
+generate --quiet --kind wrong:Heavier --workers 1
 recipe wrong:Crowded
 recipe wrong:Graded
 generate --quiet --kind wrong:Sparse --workers 1
@@ -136,6 +186,15 @@ class Failing(Bare):
     def add_to(self, spec, *, rng): gone()
 @dataclass(frozen=True, kw_only=True)
 class {"K" * 95}(Bare): pass
+@dataclass(frozen=True, kw_only=True)
+class Heavy(Bare):
+    def max_solids(self): return 3
+    def add_to(self, spec, *, rng): spec.add_geoms([2] * 25_000, [1, 0, 0], [0, 0, 1])
+@dataclass(frozen=True, kw_only=True)
+class Heavier(Heavy):
+    def add_to(self, spec, *, rng):
+        spec.worldbody.add_geom(size=[1, 0, 0])
+        super().add_to(spec, rng=rng)
 """
 
 

@@ -35,7 +35,8 @@ from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
     "kinds",
     multiple=True,
     metavar="KIND",
-    help="Only samples of this kind of worlds, such as maze, or maze-hard; repeatable.",
+    help="Only samples of this kind of worlds, such as maze (of every difficulty), or maze-hard; "
+    "repeatable.",
 )
 @click.option(
     "--worlds",
@@ -86,8 +87,10 @@ def take(
     numbers = choose(source, choice, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}
     if not sum(counts.values()):
+        hint = f"; its kinds are {', '.join(source.kind.split('+'))}" if kinds else ""
         raise DatasetError(
             f"{source.name}: no sample fulfils the conditions ({str(choice) or 'any'}); change them"
+            f"{hint}"
         )
     write_result(out, encode_selection(source, numbers, choice, out.parent))
     if report_result({"selection": str(out), "samples": counts}):

@@ -24,6 +24,7 @@ from scenegen.base.executors import chunked
 from scenegen.base.reading import read_bounded
 from scenegen.base.workers import run
 from scenegen.dataset.collection import SelectedDataset, SelectionFile, name_from
+from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.read import AnyDataset, Dataset, Piece, Split
 from scenegen.draw.sample import Sample
 from scenegen.truth.difficulty import Difficulty, difficulty
@@ -204,7 +205,8 @@ class Choice:
     most: int | None = None
     """Maximum number of samples of each split; None for all."""
     kinds: tuple[str, ...] = ()
-    """Kinds of worlds, such as "maze" or "maze-hard"; empty for all."""
+    """Kinds of worlds, such as "maze", which is of every difficulty, or "maze-hard"; a user's own
+    with or without its module; empty for all."""
     worlds: tuple[tuple[int, int], ...] = ()
     """Ranges (first, one past last) of world numbers; empty for all."""
     where: tuple[Condition, ...] = ()
@@ -264,8 +266,9 @@ def _by_number(split: Split, choice: Choice) -> Ints:
     mask = np.ones(len(split), bool)
     if choice.kinds:
         mask[:] = False
-        for kind, numbers in split.by_kind().items():
-            mask[numbers] = kind in choice.kinds
+        for number, piece in enumerate(split.pieces):
+            if not _kind_names(piece.dataset.manifest).isdisjoint(choice.kinds):
+                mask[split.first(number) :][: len(piece)] = True
     if choice.worlds:
         ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
         mask &= np.any(ranges, axis=0)
@@ -273,6 +276,12 @@ def _by_number(split: Split, choice: Choice) -> Ints:
         if condition.name in values:
             mask &= condition.holds(values[condition.name])
     return np.flatnonzero(mask)
+
+
+def _kind_names(manifest: Manifest) -> set[str]:
+    """Names of a dataset's kind: with and without its difficulty, and its module."""
+    kinds = manifest.kind, manifest.kind.rpartition(":")[2]
+    return {kind + end for kind in kinds for end in ("", f"-{manifest.tables.difficulty}")}
 
 
 def _by_measuring(

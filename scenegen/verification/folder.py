@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from lidarsim.parameters import short_repr
 from scenegen.base.errors import CorruptFileError, DatasetError, as_own_code_error, reraise_as
 from scenegen.base.executors import Begun, Counted, Executor, unheard
 from scenegen.base.mirrors import fetch
@@ -172,8 +173,8 @@ def verify(
             completely, and also whether they can be read together.
         quick: Whether only quick checks are made.
         seed: Seed of the samples that are cast and drawn again.
-        kind: A user's own kind, which may be imported to draw worlds again. No module is imported
-            because a manifest names it.
+        kind: A user's own kind, which may be imported to draw worlds again; of a collection, those
+            of its datasets of this kind. No module is imported because a manifest names it.
         own: The user's checks, as ``module:Object``, each a `Check`.
         workers: Number of processes, which examine a shard each. A crash of one is a fault.
         execute: Executor of the examinations, instead of `workers`. If it leaves shards to other
@@ -185,14 +186,14 @@ def verify(
         The report. Faults never raise errors.
 
     Raises:
-        DatasetError: if there is no dataset, it has another `kind`, or a check of `own` does not
+        DatasetError: if there is no dataset, none of this `kind`, or a check of `own` does not
             exist.
         GenerationError: if `execute` cannot finish a shard.
     """
     execute = execute or Local("", workers)
     walks = [
-        _Walk(folder, quick=quick, seed=seed, kind=kind, own=own, execute=execute)
-        for folder in _folders_of(dataset)
+        _Walk(folder, quick=quick, seed=seed, kind=folder_kind, own=own, execute=execute)
+        for folder, folder_kind in _folders_of(dataset, kind)
     ]
     samples = sum(walk.samples for walk in walks)
     for number, walk in enumerate(walks):
@@ -210,13 +211,22 @@ def verify(
     )
 
 
-def _folders_of(name: Any) -> list[Path]:
-    """Folders of the datasets of a name. The manifest of a single dataset is not read here: damage
-    is a fault to report."""
+def _folders_of(name: Any, kind: str | None) -> list[tuple[Path, str | None]]:
+    """Folders of the datasets of a name, each with `kind` if that may be imported for it. The
+    manifest of a single dataset is not read here: damage is a fault to report."""
     folder = locate(name)
     if (folder / NAME).exists():
-        return [folder]
-    return [dataset.folder for dataset in open_data(name, partial=True).datasets]
+        return [(folder, kind)]
+    datasets = open_data(name, partial=True).datasets
+    kinds = dict.fromkeys(dataset.manifest.kind for dataset in datasets)
+    if kind is not None and kind not in kinds:
+        raise DatasetError(
+            f"--kind {kind}: the datasets' kinds are {', '.join(map(short_repr, kinds))}; leave "
+            "--kind out, or give one of these"
+        )
+    return [
+        (dataset.folder, kind if dataset.manifest.kind == kind else None) for dataset in datasets
+    ]
 
 
 class _Walk:

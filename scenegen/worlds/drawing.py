@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from lidarsim.grid import Floats
 from lidarsim.registry import suggestion
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, MESH, PLANE, SPHERE
+from scenegen.base.limits import MAX_DRAWN_SOLIDS
 from scenegen.base.reading import sha256_of
 from scenegen.worlds.classes import COLOURS
 from scenegen.worlds.screen import screen
@@ -195,8 +196,12 @@ class Drawing:
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
-        """Write the document, UTF-8. Raises ValueError if MuJoCo refuses the world, and
-        CorruptFileError if readers of the archive would."""
+        """Write the document, UTF-8. Raises ValueError if it has too many solids or MuJoCo refuses
+        the world, and CorruptFileError if readers of the archive would."""
+        solids = len(self._solids) + (len(self._spec.geoms) if self._spec is not None else 0)
+        # kinds do not count the floor in `max_solids`
+        if solids > MAX_DRAWN_SOLIDS + 1:
+            raise ValueError(f"{solids} solids, expected {MAX_DRAWN_SOLIDS} at most")
         if self._spec is None and len(self._solids) <= MAX_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:
