@@ -90,6 +90,8 @@ RESERVED = {
     "world", "viewpoint", "sha256", "occupancy_probability", "probability",
 }  # fmt: skip
 """Names in batches, files and losses, which no target of a user's own may have."""
+FIGURES = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
+"""Names of a run's figures, besides metrics, that no target, metric or term of a loss may have."""
 
 OWN_METRICS = Registry("metric", {})
 """A user's own metrics of the bench; those that come with scenegen are
@@ -203,11 +205,21 @@ class NetworkConfig:
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short_repr(self.inputs)}: expected one or more, each once")
         targets = [*map(target_name, self.targets)]
-        used = {*self.inputs, *(VARIANTS[self.variant].tasks if self.variant in VARIANTS else ())}
+        tasks = VARIANTS[self.variant].tasks if self.variant in VARIANTS else ()
         # only a user's own: built-in targets have these names by right
         new = {*map(target_name, filter(is_own, self.targets))}
-        if len(set(targets)) < len(targets) or used & {*targets} or RESERVED & new:
-            raise ValueError(f"targets = {short_repr(self.targets)}: expected new names, each once")
+        holders = {
+            **dict.fromkeys(new & RESERVED, "an array or a term of the loss"),
+            **dict.fromkeys(new & {*FIGURES}, "a figure of every run"),
+            **dict.fromkeys(tasks, f"a task of the variant {self.variant}"),
+            **dict.fromkeys(self.inputs, "an input of the network"),
+            **dict.fromkeys((n for n in targets if targets.count(n) > 1), "another target, too"),
+        }
+        for name in filter(holders.get, targets):
+            raise ValueError(
+                f"targets = {short_repr(self.targets)}: expected new names, each once; {name} is "
+                f"{holders[name]}; leave it out, or rename the class"
+            )
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "

@@ -9,6 +9,8 @@ predicts it. The batch, the outputs of a network, its loss and its predictions c
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -46,8 +48,8 @@ class Target:
     maximum = np.inf
     """The greatest value of a prediction."""
     metrics: ClassVar[Mapping[str, Any]] = {}
-    """Metrics of its own by name, each a `scenegen.model.bench.metrics.Metric`, for the bench and
-    validation."""
+    """Metrics of its own by name, for the bench and validation: each a function of a
+    `scenegen.model.bench.metrics.ScoredMap`, or a `Metric` in the same module."""
 
     @abstractmethod
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
@@ -282,19 +284,66 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
         The true map, (*grid.shape) or (channels, *grid.shape).
 
     Raises:
+        MissingPartError: It needs a part of samples that the dataset lacks.
         DatasetError: It is not a map of numbers.
         OwnCodeError: The target's code failed.
     """
+    fault: Exception
     try:
         truth = np.asarray(target.truth(sample, grid))
     except Exception as error:  # a loader process hands over no traceback
-        raise as_own_code_error(error) from None
-    if truth.shape[-3:] != grid.shape or truth.ndim > 4 or truth.dtype.kind not in "fiub":
-        raise DatasetError(
+        fault = as_own_code_error(error)
+    else:
+        if truth.shape[-3:] == grid.shape and truth.ndim <= 4 and truth.dtype.kind in "fiub":
+            return truth
+        fault = DatasetError(
             f"target {name}: gives an array of {truth.dtype} of shape {truth.shape}, expected "
             f"numbers of shape {grid.shape}"
         )
-    return truth
+    # again, to see which fields it reads: without these, its fault is most likely the dataset's
+    watched = _WatchedSample(sample)
+    with suppress(Exception):
+        target.truth(watched, grid)  # type: ignore[arg-type]
+    if watched.absent:
+        field = next(iter(watched.absent))
+        raise MissingPartError(
+            f"target {name}: needs {field}, which only datasets {WITH[watched.absent[field]]} "
+            f"have ({fault})"
+        )
+    raise fault
+
+
+class MissingPartError(DatasetError):
+    """The truth of a target needs a part of samples that the dataset lacks."""
+
+
+WITH = {
+    "labels": "made with --labels",
+    "normals": "made with --normals",
+    "earlier": "with several scans a sample",
+    "known": "of maps of real places",
+}
+"""Which datasets have the fields of a sample's group."""
+
+
+class _WatchedSample:
+    """A sample that notes which fields its dataset lacks among those that are read."""
+
+    def __init__(self, sample: Sample):
+        self._sample = sample
+        self.absent = dict[str, str]()
+        """Group of each such field."""
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._sample, name)
+        if value is None and name in GROUPS:
+            self.absent[name] = GROUPS[name]
+        return value
+
+
+GROUPS = {
+    item.name: item.metadata["group"] for item in fields(Sample) if item.metadata.get("group")
+}
 
 
 def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:

@@ -5,7 +5,7 @@ One more metric of maps is an entry of `METRICS`, or a user's own, as ``--metric
 """
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
@@ -19,7 +19,7 @@ from lidarsim.jit import kernel
 from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import NEAR_M, OWN_METRICS, Thresholds, named, target_name
+from scenegen.model.config import FIGURES, NEAR_M, OWN_METRICS, Thresholds, named, target_name
 from scenegen.model.targets import Target
 
 NAN = float("nan")
@@ -250,31 +250,38 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
         if isinstance(entry, Target):
             targets[target_name(name)] = entry
             continue
-        if not isinstance(entry, Metric) and callable(entry):
-            entry = Metric(short.replace("_", " "), entry)
-        if not isinstance(entry, Metric) or entry.needs in ("trial", "path"):
-            raise ScenegenError(
-                f"metric {name}: expected a scenegen.model.bench.metrics.Metric of maps, a "
-                "function of a map, or a Target"
-            )
-        hints = get_type_hints(Metric)
-        for field in ("needs", "better"):
-            if (value := getattr(entry, field)) not in get_args(hints[field]):
-                raise ScenegenError(
-                    f"metric {name}: {field} = {value!a}, expected one of "
-                    f"{', '.join(get_args(hints[field]))}"
-                )
-        if short in (*METRICS, *PLAN_METRICS, *metrics):
-            raise ScenegenError(f"metric {name}: there is a metric called {short}; rename it")
-        metrics[short] = entry
+        metrics[short] = _own_metric(name, short, entry, metrics)
     return metrics, targets
+
+
+def _own_metric(name: str, short: str, entry: Any, taken: Collection[str]) -> Metric:
+    """Make a user's own metric of a `Metric` or a function. `name` is for errors, `short` that of
+    its column, which is not one of `taken`."""
+    if not isinstance(entry, Metric) and callable(entry):
+        entry = Metric(short.replace("_", " "), entry)
+    if not isinstance(entry, Metric) or entry.needs in ("trial", "path"):
+        raise ScenegenError(
+            f"metric {name}: expected a scenegen.model.bench.metrics.Metric of maps, a "
+            "function of a map, or a Target"
+        )
+    hints = get_type_hints(Metric)
+    for field in ("needs", "better"):
+        if (value := getattr(entry, field)) not in get_args(hints[field]):
+            raise ScenegenError(
+                f"metric {name}: {field} = {value!a}, expected one of "
+                f"{', '.join(get_args(hints[field]))}"
+            )
+    if short in (*METRICS, *PLAN_METRICS, *taken):
+        raise ScenegenError(f"metric {name}: there is a metric called {short}; rename it")
+    return entry
 
 
 def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict[str, Metric]:
     """List the metrics of maps: `METRICS`, those of targets, and a user's own.
 
     Args:
-        targets: Targets by name; a metric of theirs is called ``<target>_<metric>``.
+        targets: Targets by name; a metric of theirs is called ``<target>_<metric>``, and is a
+            `Metric` or a function of a `ScoredMap`.
         names: A user's own metrics; see `find_metrics`.
 
     Returns:
@@ -283,11 +290,11 @@ def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict
     Raises:
         ScenegenError: As in `find_metrics`.
     """
-    of_targets = {
-        f"{target}_{name}": metric
-        for target, kind in targets.items()
-        for name, metric in kind.metrics.items()
-    }
+    of_targets = dict[str, Metric]()
+    for target, kind in targets.items():
+        for name, metric in kind.metrics.items():
+            short, label = f"{target}_{name}", f"{name} of the target {target}"
+            of_targets[short] = _own_metric(label, short, metric, (*FIGURES, *of_targets))
     return {**METRICS, **of_targets, **find_metrics(names)[0]}
 
 

@@ -225,20 +225,25 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         # anew for each kind, so that its p-values do not depend on the other datasets
         rng = np.random.default_rng(seed)
         first = next(iter(result.methods.values()))  # whose trials have the goals of all
-        methods, partly = result.methods.items(), ""
+        methods, cautions = result.methods.items(), list[str]()
         if result.known_share < 1:
-            partly = (
+            cautions.append(
                 f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
                 "known voxels alone, and a path that leaves known space fails. Planning is scored "
                 "twice: with known space marked (all other voxels are occupied to the planner, "
                 "which shows it where the place ends), and not marked"
+            )
+        if names := ", ".join(result.without_truth):
+            cautions.append(
+                f"the metrics of {names} are left out: the dataset lacks a part of samples that "
+                "their truth needs"
             )
         report["datasets"][result.kind] = {
             "digest": result.dataset.digest,
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,
-            "note": partly,
+            "note": "; ".join(cautions),
             "trials": len(result.trial_worlds),
             "blocked_lines": sum(trial.line_blocked for trial in first.trials),
             "excluded": dict(result.excluded),

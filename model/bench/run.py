@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, ScenegenError, empty_split
+from scenegen.base.errors import DatasetError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Rows, Split
@@ -41,7 +41,7 @@ from scenegen.model.bench.trials import (
 from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, UNSCORED, Case, walled
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
-from scenegen.model.targets import Target, truth_of
+from scenegen.model.targets import MissingPartError, Target, truth_of
 from scenegen.truth import distance_field
 from scenegen.view.look import evenly
 
@@ -111,6 +111,8 @@ class DatasetResult:
     excluded: Counter[str]
     """Drawn trials that are not valid, by reason."""
     methods: dict[str, MethodResult]
+    without_truth: tuple[str, ...] = ()
+    """Predicted targets whose metrics are not measured: the dataset lacks a part for the truth."""
 
     @property
     def metrics(self) -> Mapping[str, Metric]:
@@ -249,6 +251,12 @@ def bench(
     # here and not in the workers: each would complete the validation maps again
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     targets = measured_targets(methods, config, split, numbers[0])
+    predicted = {
+        name
+        for method in methods
+        for name, target in getattr(method, "targets", {}).items()
+        if target.metrics
+    }
     metrics = metrics_of(targets, config.metrics)
     # a tenth more than asked for: not every sample has as many valid goals
     trials_each = math.ceil(1.1 * config.trials / len(numbers))
@@ -277,6 +285,7 @@ def bench(
             method.name: _joined(method, best, metrics, results, trials)
             for method, best, results in zip(methods, tuned, by_method, strict=True)
         },
+        without_truth=tuple(sorted(predicted - targets.keys())),
     )
 
 
@@ -295,7 +304,8 @@ def measured_targets(
         Targets by name, those with metrics only.
 
     Raises:
-        DatasetError: The dataset lacks the truth of a named target.
+        DatasetError: The dataset lacks the truth of a named target, or a truth is not a map.
+        OwnCodeError: A target's code failed.
     """
     named = find_metrics(config.metrics)[1]
     targets, sample, grid = dict[str, Target](), split[index], split.dataset.grid
@@ -307,7 +317,7 @@ def measured_targets(
             # a method may predict more than the dataset has; what the user names, it must have
             try:
                 truth_of(target, name, sample, grid)
-            except ScenegenError as error:
+            except MissingPartError as error:
                 if name in named:
                     raise DatasetError(
                         f"{split.dataset.name}: has no truth of the target {name} ({error})"

@@ -3,24 +3,26 @@
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, GridSpec
 from scenegen.base.errors import DatasetError
 from scenegen.base.executors import chunked
 from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import best_of, ious_by_threshold, judged_by
-from scenegen.model.bench.metrics import ScoredMap, measure, metrics_of
+from scenegen.model.bench.metrics import Metric, ScoredMap, measure, metrics_of
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds, TrainConfig
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
+from scenegen.model.targets import Target
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
@@ -59,9 +61,7 @@ def validate(
     loss, usual = loss_of(config.loss, maps.grid, targets=targets), Thresholds()
     sums = defaultdict[str, Floats](lambda: np.zeros(2))  # sum and number of values
     largest, ious, judged = 0.0, list[Floats](), ""
-    metrics = {
-        name: metric for name, metric in metrics_of(targets).items() if not metric.bench_only
-    }
+    metrics = validated_metrics(targets)
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     # closed at once, also after an error: loader processes would outlive it
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
@@ -82,18 +82,10 @@ def validate(
             for n in range(count):
                 prediction = Prediction.of({name: maps[n] for name, maps in predicted.items()})
                 truth = {name: values[n].numpy() for name, values in batch.items()}
-                known = truth.get("known", np.ones(maps.grid.shape, bool))
+                scored = scored_map(prediction, truth, maps.grid)
                 judged = judged_by(prediction)
-                ious.append(ious_by_threshold(prediction, truth["occupancy"], known))
-                scored_map = ScoredMap(
-                    prediction=prediction,
-                    truth=truth,
-                    grid=maps.grid,
-                    thresholds=usual,
-                    scored=known,
-                    certain=truth.get("certain"),
-                )
-                scores = measure(scored_map, metrics)[0]
+                ious.append(ious_by_threshold(prediction, truth["occupancy"], scored.scored))
+                scores = measure(scored, metrics)[0]
                 for name, value in zip(metrics, scores.tolist(), strict=True):
                     if math.isfinite(value):  # NaN if the map has no voxels to measure
                         sums[name] += (value, 1)
@@ -111,6 +103,31 @@ def validate(
         "best_iou": float(mean_ious.max()),
         f"best_{judged}": getattr(best_of(judged, mean_ious, usual), judged),
     }
+
+
+def validated_metrics(targets: Mapping[str, Target]) -> dict[str, Metric]:
+    """Return the metrics that validation measures of a network with some targets, by name."""
+    return {name: metric for name, metric in metrics_of(targets).items() if not metric.bench_only}
+
+
+def scored_map(
+    prediction: Prediction, truth: Mapping[str, NDArray[Any]], grid: GridSpec
+) -> ScoredMap:
+    """Put a prediction beside the truth of its map, at the paper's thresholds.
+
+    Args:
+        prediction: The prediction.
+        truth: Arrays of a batch of `Maps`, of this map, by name.
+        grid: The grid.
+    """
+    return ScoredMap(
+        prediction=prediction,
+        truth=truth,
+        grid=grid,
+        thresholds=Thresholds(),
+        scored=truth.get("known", np.ones(grid.shape, bool)),
+        certain=truth.get("certain"),
+    )
 
 
 STREAM_INTERVAL = 5000

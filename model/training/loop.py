@@ -26,16 +26,16 @@ from scenegen.base.executors import commit, installed, software
 from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.parameters import differences, mapping_entry, sensor_entry
-from scenegen.model.bench.metrics import metrics_of
+from scenegen.model.bench.metrics import measure, metrics_of
 from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
-from scenegen.model.config import VARIANTS, TrainConfig, is_own
+from scenegen.model.config import FIGURES, VARIANTS, TrainConfig, is_own
 from scenegen.model.losses import loss_of, summed
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
-from scenegen.model.training.course import Course, validate
+from scenegen.model.training.course import Course, scored_map, validate, validated_metrics
 from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
@@ -47,8 +47,6 @@ from scenegen.model.training.device import (
 )
 from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
 
-RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
-"""Names of a run's figures, besides metrics, that no term of a loss may have."""
 PACKAGES = ("torch", "safetensors")
 """Packages whose versions a network's file records, besides those that a dataset records."""
 
@@ -430,7 +428,7 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:
-    """Try a user's own network, target or loss on one map, so that faults are reported at once.
+    """Try a user's own network, target, metrics or loss on one map: faults are reported at once.
 
     Does nothing if all of them come with scenegen.
 
@@ -443,6 +441,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     Raises:
         TrainingError: if shapes, types or values are invalid, if a term of the loss has a reserved
             name, or if the loss does not depend on a weight.
+        ScenegenError: if a metric of a target fails, or its name is taken.
     """
     variant, objective = config.network.variant, config.loss.objective
     if not (is_own(variant) or is_own(objective) or config.network.targets):
@@ -465,8 +464,8 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
     # the same check as for predictions of any method: probabilities from 0 to 1, finite numbers
     with torch.no_grad(), reraise_as(TrainingError, of=PredictionError):
-        predicted = Prediction.of(output.predictions(network.targets, maps.grid))
-        check_prediction(predicted, (1, *maps.grid.shape), f"variant {variant}")
+        predicted = output.predictions(network.targets, maps.grid)
+        check_prediction(Prediction.of(predicted), (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():  # files hold no other types
         if value.dtype not in DTYPES:
             raise TrainingError(
@@ -474,7 +473,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             )
     terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
     steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
-    taken = {*metrics_of(network.targets), *RESERVED}
+    taken = {*metrics_of(network.targets), *FIGURES}
     for name, value in [*terms.items(), *steps.items()]:
         if not isinstance(value, Tensor) or value.ndim or name in taken:
             raise TrainingError(
@@ -483,6 +482,12 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             )
     if not (steps or terms)["loss"].requires_grad:
         raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
+    arrays, truth = (
+        {name: values[0].numpy(force=True) for name, values in held.items()}
+        for held in (predicted, batch)
+    )
+    scored = scored_map(Prediction.of(arrays), truth, maps.grid)
+    measure(scored, validated_metrics(network.targets))
     if config.choose not in (*terms, "last"):
         raise TrainingError(
             f"choose = {config.choose!r}: the loss has no such term, but {', '.join(terms)}"

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import h5py
@@ -92,7 +93,18 @@ def test_metrics_of_classes_need_their_truth(here, folders, capsys):
     words = f"bench {folders[0]} --quick --quiet --workers 1 --weights my_labels:Classes@run"
     done(capsys, f"{words} --method empty")
     assert "classes_miou" not in Path("bench/report.json").read_text()
+    assert "metrics of classes are left out" in Path("bench/report.md").read_text()
     assert "has no truth" in refused(capsys, f"{words} --metric my_labels:Classes")
+
+
+def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(here, capsys):
+    train(["data/street"], config_of(epochs=1), here / "run")
+    with Path("my_labels.py").open("a") as file:
+        file.write("    def truth(self, sample, grid):\n        return sample.voxel_class / None\n")
+    target_called.cache_clear()
+    sys.modules.pop("my_labels", None)
+    words = "bench data/street --quick --quiet --workers 1 --weights my_labels:Classes@run"
+    assert re.search(r"my_labels.py: TypeError", refused(capsys, words))
 
 
 def test_a_scan_is_stored_with_its_classes(here, capsys):
@@ -164,6 +176,15 @@ class Iou(Classes):
     def loss(self, output, batch, objective): return output.mean()
 class Unweighted(Classes):
     def loss(self, output, batch, objective): return 3.0
+class Mean(Classes):
+    def loss(self, output, batch, objective): return output.float().mean()
+class Best(Mean): metrics = {"iou": lambda scored: 1.0}
+class Near(Mean): metrics = {"rmse": lambda scored: 1.0}
+class Numeric(Mean): metrics = {"one": 1.0}
+class Normal(Mean):
+    def truth(self, sample, grid): return sample.return_normal[..., 0]
+class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
+class Wordy(Mean): metrics = {"one": lambda scored: "high"}
 """
 SAID = """
 Plain       → expected a subclass of
@@ -173,6 +194,12 @@ Missing     → finds no number of channels
 Shapeless   → shapeless is an array of shape
 Iou         → iou is .*no metric has
 Unweighted  → unweighted is 3.0
+Best        → metric iou of the target best: there is a metric called best_iou; rename
+Near        → metric rmse of the target near: there is a metric called near_rmse; rename
+Normal      → Normal: needs return_normal, which only datasets made with --normals have
+Failing     → of wrong.py: KeyError: 'absent'
+Wordy       → metric wordy one: gave no number
+Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
 """
 
 
@@ -184,24 +211,40 @@ def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name, said):
     assert not (here / "run").exists()
 
 
+PLAIN = """
+import my_labels
+class Classes(my_labels.Classes):
+    metrics = {"one": lambda scored: 1.0}
+"""
+
+
+def test_a_metric_of_a_target_may_be_a_function(here):
+    (here / "plain.py").write_text(PLAIN)
+    settings = config_of(targets=("plain:Classes",), epochs=1)
+    (row,) = train(["data/street"], settings, here / "run")
+    assert row["val_classes_one"] == 1
+
+
 def test_a_dataset_without_labels_is_refused(here, folders):
     with pytest.raises(ScenegenError, match="--labels"):
         train([folders[0]], config_of(), here / "run")
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("settings", "reason"),
     [
-        {"targets": ("occupancy",)},
-        {"targets": ("a:Known",)},
-        {"targets": ("a:Occupancy",), "variant": "tudf"},
-        {"targets": ("a:Classes", "b:Classes")},
-        {"targets": ("a:Classes",), "channels": (0,)},
-        {"targets": ("classes",)},
+        ({"targets": ("occupancy",)}, "occupancy is a task of the variant proposed"),
+        ({"targets": ("a:Known",)}, "known is an array or a term"),
+        ({"targets": ("a:Occupancy",), "variant": "tudf"}, "occupancy is an array or a term"),
+        ({"targets": ("a:Free",), "inputs": ("observed", "free")}, "free is an input"),
+        ({"targets": ("a:Gradient",)}, "gradient is a figure of every run"),
+        ({"targets": ("a:Classes", "b:Classes")}, "classes is another target"),
+        ({"targets": ("a:Classes",), "channels": (0,)}, "channels"),
+        ({"targets": ("classes",)}, "unknown target"),
     ],
 )
-def test_names_of_other_maps_are_refused(settings):
-    with pytest.raises(ValueError, match=r"targets|channels|unknown target"):
+def test_names_of_other_maps_are_refused(settings, reason):
+    with pytest.raises(ValueError, match=reason):
         NetworkConfig(**settings)
 
 
