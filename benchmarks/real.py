@@ -155,9 +155,10 @@ def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Datase
 
 
 class Scan(PointScan):
-    """Points alone, as methods are shown them."""
+    """Points alone, as methods are shown them, in the level frame of their map."""
 
     lidar = None
+    quaternion = np.array([1.0, 0, 0, 0])
 
 
 Seen = tuple[Any, Mask, Mask]
