@@ -12,6 +12,7 @@ import numpy as np
 
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
+from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import short_repr
 from scenegen import GENERATOR, __version__
@@ -32,9 +33,12 @@ from scenegen.draw.draw import (
     FLIGHT,
     Unit,
     UnitKey,
+    View,
     none_rejected,
     samples_of,
     scans_from,
+    times_of,
+    times_of_scans,
     truth_of,
 )
 from scenegen.draw.source import DrawnWorlds, Source
@@ -88,6 +92,7 @@ def fly_again(
 def scan_again(
     world: AnyWorld,
     poses: Sequence[Sequence[Pose]],
+    times: Sequence[Floats],
     recipe: Recipe,
     key: UnitKey,
     *,
@@ -103,6 +108,7 @@ def scan_again(
     Args:
         world: The world.
         poses: Poses of each sample's scans: its own, then earlier ones, latest first.
+        times: When each of these scans began, seconds.
         recipe: Gives sensor, noise, mapping and grid.
         key: Key of the unit's random numbers.
         names: Number of the world, and number of the first sample's viewpoint.
@@ -112,12 +118,12 @@ def scan_again(
     Raises:
         GenerationError: if a scan fails.
     """
-    caster = world.caster(engine)
     views = []
-    for before in poses:
-        scans = scans_from(before, caster, recipe.lidar)
-        views.append((scans, truth_of(world, scans[0], recipe)))
-    samples = samples_of(views, recipe, world, caster, key, names, derived)
+    for before, times_s in zip(poses, times, strict=True):
+        scans = scans_from(before, times_s, world, engine, recipe)
+        truth = truth_of(world, scans[0], recipe, float(times_s[0]))
+        views.append(View(scans, times_s, truth))
+    samples = samples_of(views, recipe, world, engine, key, names, derived)
     return Unit(names[0], world, samples, none_rejected())
 
 
@@ -180,13 +186,16 @@ class ScanAgain(ShardSpec):
         prefix = f"{dataset.folder}: {self.split} sample: "
         with reraise_as(DatasetError, prefix, "; verify the dataset"):
             poses = [[scan.pose for scan in sample.scans()[: mapping.scans]] for sample in samples]
+        times = [times_of(sample, self.recipe)[: mapping.scans] for sample in samples]
         # stored earlier poses serve if the new mapping needs no others
         if mapping.scans > original.scans or mapping.scan_spacing_m != original.scan_spacing_m:
             own_poses = [stored[0] for stored in poses]
             poses = fly_again(world, own_poses, self.recipe, key)
+            times = [times_of_scans(float(own[0]), self.recipe) for own in times]
         return scan_again(
             world,
             poses,
+            times,
             self.recipe,
             key,
             names=(number, turn * viewpoints),

@@ -3,6 +3,7 @@ their worlds."""
 
 import io
 import json
+import math
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -218,12 +219,17 @@ def put(
     return report_of(spec, sums, len(content) + len(worlds), rejected, joined_digests)
 
 
+LARGE_BYTES = 1000
+"""A table of more bytes a sample is compressed."""
+
+
 def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
-    """Make the HDF5 datasets of a shard, one chunk for each sample. Returns those of grids and
-    ranges, which are compressed."""
+    """Make the HDF5 datasets of a shard, one chunk for each sample. Returns those of grids, ranges
+    and large tables, which are compressed."""
     opened = {}
     for name, (dtype, shape) in layout.items():
         packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
+        packed |= dtype.itemsize * math.prod(shape) > LARGE_BYTES
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
             name, shape=(samples, *shape), dtype=dtype, chunks=(1, *shape), **packing

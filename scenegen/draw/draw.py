@@ -19,6 +19,7 @@ from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
 from scenegen.base.errors import GenerationError, RecipeError, reraise_as
+from scenegen.draw.movers import mover_voxels, ray_times
 from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
@@ -27,9 +28,9 @@ from scenegen.worlds.flight import Route, fly, viewpoints
 from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.tables import named_noise
-from scenegen.worlds.world import AnyWorld, World
+from scenegen.worlds.world import AnyWorld, World, populated
 
-WORLD, FLIGHT, NOISE = 0, 1, 2
+WORLD, FLIGHT, NOISE, MOVERS = 0, 1, 2, 3
 """Streams of random numbers of a unit."""
 
 
@@ -47,7 +48,7 @@ class UnitKey(NamedTuple):
         """Random numbers of one purpose.
 
         Args:
-            stream: `WORLD`, `FLIGHT` or `NOISE`.
+            stream: `WORLD`, `FLIGHT`, `NOISE` or `MOVERS`.
             attempt: Number of the draw.
             part: Further parts of the key, such as the number of a view.
         """
@@ -78,11 +79,23 @@ class Unit:
 
 Truth = dict[str, np.ndarray]
 """Fields with the true content of a viewpoint's map, and which of it is known, by name."""
-View = tuple[Sequence[Scan], Truth]
-"""Data of one viewpoint: its clean scan followed by the earlier ones, latest first; and the truth
-of its map."""
+
+
+class View(NamedTuple):
+    """Data of one viewpoint."""
+
+    scans: Sequence[Scan]
+    """Its clean scan, then the earlier ones, latest first."""
+    times_s: Floats
+    """When each scan began, seconds; 0 where nothing moves."""
+    truth: Truth
+    """The truth of its map when its own scan began."""
+
+
 ADVICE = {
     "no_flight": "no flight fits between the solids: {fewer}, or lower flight.robot_radius_m",
+    "few_movers": "movers find no room: lower the least numbers of people, vehicles or drones, "
+    "or {fewer}",
     "few_solids": "worlds are too empty: {more}, or lower accept.min_solids",
     "few_viewpoints": "flights give too few viewpoints: lower flight.viewpoints, flight.spacing_m, "
     "accept.min_occupied_share or accept.min_returned_share; in a map of a real place, "
@@ -121,13 +134,16 @@ def draw_unit(
     rejected, key = none_rejected(), UnitKey(seed, split, unit)
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
-        world = source.world(split, number, rng=key.rng(WORLD, attempt))
-        caster = world.caster(engine)
-        views = _fly(world, caster, recipe, rejected, rng=key.rng(FLIGHT, attempt))
+        drawn = source.world(split, number, rng=key.rng(WORLD, attempt))
+        world = _populated(drawn, recipe, rng=key.rng(MOVERS, attempt))
+        if world is None:
+            rejected["worlds"]["few_movers"] += 1
+            continue
+        views = _fly(world, engine, recipe, rejected, rng=key.rng(FLIGHT, attempt))
         if views:
             # a world from a file is visited several times: its viewpoints are numbered on
             names = number, turn * recipe.flight.viewpoints
-            samples = samples_of(views, recipe, world, caster, key, names, derived)
+            samples = samples_of(views, recipe, world, engine, key, names, derived)
             return Unit(number, world, samples, rejected)
     counted = ", ".join(f"{count} {reason}" for reason, count in rejected["worlds"].items())
     # advice on the most common reason comes first
@@ -157,9 +173,52 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
     fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
 
 
+def _populated(world: AnyWorld, recipe: Recipe, *, rng: Generator) -> AnyWorld | None:
+    """Add the recipe's movers to a drawn world; None if they find no room."""
+    if (traffic := recipe.traffic) is None or recipe.world is None or isinstance(world, Place):
+        return world
+    return populated(world, recipe.world.mover_zones(world.flight_bounds), traffic, rng=rng)
+
+
+def caster_at(world: AnyWorld, engine: EngineFactory, recipe: Recipe, time_s: float) -> Caster:
+    """Caster of a world for a scan.
+
+    Args:
+        world: The world.
+        engine: Makes engines.
+        recipe: Tells whether rays meet movers at their own times.
+        time_s: When the scan begins, seconds.
+    """
+    if recipe.traffic is None or isinstance(world, Place):
+        return world.caster(engine)
+    return world.caster_at(engine, ray_times(recipe.traffic, recipe.lidar, time_s))
+
+
+def times_of_scans(time_s: float, recipe: Recipe) -> Floats:
+    """When the scans of a viewpoint begin.
+
+    Args:
+        time_s: When its own scan begins, seconds after the flight did.
+        recipe: Gives the number and distance of scans, and the sensor's speed.
+
+    Returns:
+        Seconds, the viewpoint's own scan first; 0 where nothing moves.
+    """
+    back_m = recipe.mapping.scan_spacing_m * np.arange(recipe.mapping.scans)
+    if recipe.traffic is None:
+        return np.zeros(len(back_m))
+    return np.maximum(time_s - back_m / recipe.traffic.sensor_mps, 0.0)
+
+
+def times_of(fields: Any, recipe: Recipe) -> Floats:
+    """When the scans of a sample began, seconds; see `times_of_scans`."""
+    stored = fields.scan_times
+    return np.zeros(recipe.mapping.scans) if stored is None else stored
+
+
 def _fly(
     world: AnyWorld,
-    engine: Caster,
+    engine: EngineFactory,
     recipe: Recipe,
     rejected: Rejections,
     *,
@@ -185,7 +244,8 @@ def _fly(
             ]
             # candidates are this far apart along the path, but the path may return to a place
             if min(distances_m2, default=math.inf) >= flight.spacing_m * flight.spacing_m:
-                view = _look(world, engine, pose, recipe)
+                times_s = times_of_scans(_time_s(flown_m, recipe), recipe)
+                view = _look(world, engine, pose, float(times_s[0]), recipe)
                 if isinstance(view, str):
                     rejected["viewpoints"][view] += 1
                 else:
@@ -196,11 +256,18 @@ def _fly(
                 for flown_m, scan, truth in sorted(accepted, key=lambda view: view[0]):
                     # earlier scans are cast only for views that are accepted
                     before = route.before(flown_m, recipe.mapping)
-                    views.append(([scan, *scans_from(before, engine, recipe.lidar)], truth))
+                    times_s = times_of_scans(_time_s(flown_m, recipe), recipe)
+                    earlier = scans_from(before, times_s[1:], world, engine, recipe)
+                    views.append(View([scan, *earlier], times_s, truth))
                 return views
         reason = "few_viewpoints"
     rejected["worlds"][reason] += 1
     return None
+
+
+def _time_s(flown_m: float, recipe: Recipe) -> float:
+    """When the sensor is at a place of its flight, seconds; 0 where nothing moves."""
+    return 0.0 if recipe.traffic is None else flown_m / recipe.traffic.sensor_mps
 
 
 def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
@@ -215,18 +282,24 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
     return advice or f"{verb} how many solids, or in a map unknown voxels, there are where it flies"
 
 
-def _look(world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe) -> tuple[Scan, Truth] | str:
+def _look(
+    world: AnyWorld, engine: EngineFactory, pose: Pose, time_s: float, recipe: Recipe
+) -> tuple[Scan, Truth] | str:
     """Scan a viewpoint. Returns the scan and the truth, or the reason to reject it: too few returns
-    or solids, or too little known space."""
+    or solids, a mover that is too near, or too little known space."""
     accept, known = recipe.accept, recipe.known
     # checked first: most viewpoints in maps of real places fail here, and it needs no scan
     if known is not None and not world.is_known(pose, recipe.lidar, known):
         return "rays_unknown"
-    (scan,) = scans_from([pose], engine, recipe.lidar)
+    if isinstance(world, World) and world.movers is not None:
+        room_m = recipe.flight.robot_radius_m
+        if world.movers.distance_m(pose.position, time_s, recipe.scan_s) < room_m:
+            return "mover_near"
+    (scan,) = scans_from([pose], [time_s], world, engine, recipe)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:
         return "few_returns"
-    truth = truth_of(world, scan, recipe)
+    truth = truth_of(world, scan, recipe, time_s)
     occupied = truth["occupancy"]
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         return "few_occupied"
@@ -235,13 +308,29 @@ def _look(world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe) -> tuple[
     return scan, truth
 
 
-def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> Truth:
+def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe, time_s: float = 0.0) -> Truth:
     """Compute the true content of the map of a clean scan.
 
+    Args:
+        world: The world.
+        scan: The scan.
+        recipe: Gives the map.
+        time_s: When the scan began, seconds.
+
     Returns:
-        `occupancy`; in maps of real places also `known` and `ray_known`.
+        `occupancy`; with movers also `static_occupancy` and `voxel_mover`; in maps of real places
+        also `known` and `ray_known`.
     """
-    truth = world.truth(recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose))
+    origin = recipe.mapping.origin(recipe.grid, scan.pose)
+    truth: Truth = {**world.truth(recipe.grid, origin)}
+    if isinstance(world, World) and world.movers is not None:
+        standing = truth["occupancy"]
+        mover = mover_voxels(world.movers, recipe.grid, origin, time_s)
+        truth = {
+            "occupancy": standing | (mover >= 0),
+            "static_occupancy": standing,
+            "voxel_mover": mover,
+        }
     if recipe.known is not None:
         # a world of solids is known everywhere
         truth.setdefault("known", np.ones(recipe.grid.shape, bool))
@@ -273,7 +362,7 @@ def samples_of(
     views: Sequence[View],
     recipe: Recipe,
     world: AnyWorld,
-    engine: Caster,
+    engine: EngineFactory,
     key: UnitKey,
     names: tuple[int, int],
     derived: bool,
@@ -289,8 +378,8 @@ def samples_of(
     """
     number, first = names
     samples = []
-    for view, (clean, truth) in enumerate(views):
-        scans = with_noise(clean, recipe.noise, world, engine, key, view)
+    for view, (clean, times_s, truth) in enumerate(views):
+        scans = with_noise(clean, times_s, world, engine, recipe, key, view)
         scan, *earlier = scans
         origin = recipe.mapping.origin(recipe.grid, scan.pose)
         # oldest first, as a robot receives them
@@ -309,6 +398,7 @@ def samples_of(
             "world": number,
             "viewpoint": first + view,
             **earlier_fields(earlier),
+            **({} if recipe.traffic is None else {"scan_times": times_s}),
         }
         for name, settings in recipe.parts.items():
             if not isinstance(world, World):
@@ -368,31 +458,53 @@ def scan_world(
     return observed(cast(caster, lidar, pose), named_noise(noise, lidar), world.albedo, caster, rng)
 
 
-def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:
+def scans_from(
+    poses: Sequence[Pose],
+    times_s: Sequence[float] | Floats,
+    world: AnyWorld,
+    engine: EngineFactory,
+    recipe: Recipe,
+) -> list[Scan]:
     """Cast clean scans from poses of the body that carries the sensor.
+
+    Args:
+        poses: The poses.
+        times_s: When each scan begins, seconds.
+        world: The world.
+        engine: Makes engines.
+        recipe: Gives the sensor.
 
     Raises:
         GenerationError: if the engine fails.
     """
     with reraise_as(GenerationError, "the engine fails: "):
-        return [cast(engine, lidar, pose) for pose in poses]
+        return [
+            cast(caster_at(world, engine, recipe, float(time_s)), recipe.lidar, pose)
+            for pose, time_s in zip(poses, times_s, strict=True)
+        ]
 
 
 def with_noise(
     scans: Sequence[Scan],
-    noise: Noise,
+    times_s: Floats,
     world: AnyWorld,
-    engine: Caster,
+    engine: EngineFactory,
+    recipe: Recipe,
     key: UnitKey,
     view: int,
 ) -> list[Scan]:
-    """Add noise to the scans of a view.
+    """Add the recipe's noise to the scans of a view.
 
     The random numbers depend on the view, not on the accepted draw, so that scanning the same poses
     again gives the same noise. Without stages, the scans are returned unchanged.
 
     Args:
         scans: Clean scans: the view's own, then earlier ones, latest first.
+        times_s: When each scan began, seconds.
+        world: The world.
+        engine: Makes engines.
+        recipe: Gives the noise.
+        key: Key of the unit's random numbers.
         view: Number of the view in its unit.
 
     Returns:
@@ -402,13 +514,15 @@ def with_noise(
         GenerationError: if a stage fails, or its result does not fit a dataset: several echoes,
             intensities, or returns beside the rays.
     """
+    noise = recipe.noise
     if not noise.stages:
         return list(scans)
     noisy = []
-    for age, scan in enumerate(scans):
+    for age, (scan, time_s) in enumerate(zip(scans, times_s, strict=True)):
         # the scan's own noise has the shortest key: it is the same with and without earlier scans
         rng = key.rng(NOISE, 0, view, *([age] if age else []))
-        seen = observed(scan, noise, world.albedo, engine, rng)
+        caster = caster_at(world, engine, recipe, float(time_s))
+        seen = observed(scan, noise, world.albedo, caster, rng)
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "

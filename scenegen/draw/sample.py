@@ -7,6 +7,7 @@ import sys
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, overload
 
 import numpy as np
@@ -16,8 +17,10 @@ from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.parameters import short_repr
 from scenegen.base.errors import DatasetError, lacking
+from scenegen.worlds.traffic import MAX_MOVERS, MAX_PIECES, MAX_SOLIDS
 
 if TYPE_CHECKING:
+    from scenegen.draw.movers import Motion
     from scenegen.draw.tensors import TensorSamples
 
 
@@ -38,9 +41,9 @@ def _stored(
 ) -> Any:
     """Declare a field of the record.
 
-    `axes` names `grid`, `rays`, `earlier` (scans) or a length; "" means a scalar. Readers, dataset
-    cards and this code share `meaning`. `derived` fields can be computed from others. Fields of a
-    `group` exist only in some datasets.
+    `axes` names `grid`, `rays`, `scans`, `earlier` (scans) or lengths; "" means a scalar. Readers,
+    dataset cards and this code share `meaning`. `derived` fields can be computed from others.
+    Fields of a `group` exist only in some datasets.
     """
     metadata: dict[str, Any] = {"dtype": dtype, "axes": axes, "unit": unit, "meaning": meaning}
     metadata |= {"derived": derived, "group": group}
@@ -133,6 +136,51 @@ class Sample:
         "rays",
         "rays that cross no more unknown space than `known.most_unknown_m` before they return",
         group="known",
+    )
+    scan_times: Floats | None = _stored(
+        "<f8",
+        "scans",
+        "when each scan began, the sample's own first; courses of movers are functions of it",
+        unit="s",
+        group="movers",
+    )
+    course_end: float | None = _stored(
+        "<f8", "", "until when courses of movers are stored", unit="s", group="movers"
+    )
+    static_occupancy: Mask | None = _stored(
+        "bool", "grid", "truth: voxels that solids which stand still touch", group="movers"
+    )
+    voxel_mover: NDArray[np.int16] | None = _stored(
+        "<i2",
+        "grid",
+        "truth: the mover that touches the voxel, the one of the smallest number if several do; -1 "
+        "for none",
+        group="movers",
+    )
+    return_mover: NDArray[np.int16] | None = _stored(
+        "<i2", "rays", "the mover that each ray met; -1 for none, or no return", group="movers"
+    )
+    mover_kind: NDArray[np.int16] | None = _stored(
+        "<i2",
+        f"{MAX_MOVERS}",
+        "kind of each mover: 1 person, 2 vehicle, 3 drone; 0 for unused rows",
+        group="movers",
+    )
+    mover_solids: Floats | None = _stored(
+        "<f8",
+        f"{MAX_MOVERS} {MAX_SOLIDS} 7",
+        "solids of each mover: MuJoCo's code of the shape, its three sizes, and its centre in the "
+        "mover's frame (x ahead, z up); -1 in unused rows",
+        unit="m",
+        group="movers",
+    )
+    mover_course: Floats | None = _stored(
+        "<f8",
+        f"{MAX_MOVERS} {MAX_PIECES} 21",
+        "pieces of each mover's course: when it begins, and four coefficients each, rising, of x, "
+        "y, z and of the heading's x and y in the seconds since; NaN in unused rows",
+        unit="s, m",
+        group="movers",
     )
     lidar: Sensor | None = None
     """The sensor of the scans, if known."""
@@ -228,6 +276,19 @@ class Sample:
             views += zip(*earlier, strict=True)
         return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in views]
 
+    @cached_property
+    def motion(self) -> "Motion":
+        """What moves in the sample: occupancy, distances and velocities at other times.
+
+        Raises:
+            DatasetError: if it has no movers.
+        """
+        from scenegen.draw.movers import Motion
+
+        if self.grid is None:
+            raise DatasetError("motion needs the sample's grid, such as recipe.grid")
+        return Motion(self, grid=self.grid)
+
     def __repr__(self) -> str:
         shares = ", ".join(
             f"{name} {100 * getattr(self, name).mean():.1f} %" for name in ("observed", "occupancy")
@@ -303,6 +364,7 @@ class Schema:
             "grid": self.grid.shape,
             "rays": self.lidar.shape,
             "earlier": (self.scans - 1,),
+            "scans": (self.scans,),
         }
         axes = FIELDS[name]["axes"].split()
         return tuple(

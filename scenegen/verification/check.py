@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fuse
 from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
+from lidarsim.grid import Floats
 from lidarsim.registry import Registry
 from lidarsim.solids import Solids
 from scenegen.base.errors import CorruptFileError, SceneError, reraise_as
@@ -23,7 +24,7 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
 from scenegen.draw.sample import rng_of
-from scenegen.verification.rays import MapAuditor
+from scenegen.verification.rays import MapAuditor, MovingAuditor
 from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
@@ -105,18 +106,22 @@ class SignedFile:
     sha256: str
 
 
-def auditor(world: AnyWorld, made_with: str) -> Caster:
+def auditor(world: AnyWorld, made_with: str, times_s: Floats | None = None) -> Caster:
     """Engine that repeats the casting of rays: another one than the dataset's, and always one of
     ours.
 
     Args:
         world: The world.
         made_with: Name of the dataset's engine.
+        times_s: (n,): when each ray is cast, seconds; needed in a world with movers.
     """
     if isinstance(world, Place):
         return MapAuditor(world.voxels)
     # an engine cannot confirm its own results
-    return world.caster(AnalyticEngine.of if made_with == MUJOCO else MujocoEngine)
+    factory = AnalyticEngine.of if made_with == MUJOCO else MujocoEngine
+    if world.movers is None or times_s is None:
+        return world.caster(factory)
+    return MovingAuditor(world, factory, times_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,6 +246,18 @@ def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
     ]
 
 
+def times_of(contract: Manifest, stored: Callable[[str], Any]) -> Floats:
+    """When the scans of a sample began, seconds, in the order of `scans_of`.
+
+    Args:
+        contract: Manifest of the dataset.
+        stored: Returns a stored field by its name.
+    """
+    if "movers" in contract.parts:
+        return np.asarray(stored("scan_times"), np.float64)
+    return np.zeros(contract.mapping.scans)
+
+
 @dataclass(frozen=True, eq=False)
 class Sample:
     """One unpacked sample: all fields, or without derived ones if `quick`."""
@@ -278,6 +295,11 @@ class Sample:
         if worlds is None or self.solids is None or self.row not in self.shard.audited:
             return None
         return worlds.world(self.world)
+
+    @property
+    def times_s(self) -> Floats:
+        """When each of `scans` began, seconds; 0 where nothing moves."""
+        return times_of(self.contract, self.fields.__getitem__)
 
     @cached_property
     def packed(self) -> dict[str, NDArray[np.uint8]]:

@@ -3,15 +3,18 @@ returns."""
 
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec, Lidar, Sensor
-from lidarsim.engines import Caster
+from lidarsim.engines import Caster, EngineFactory
 from lidarsim.engines.voxels import MIN_CHORD_M, OCCUPIED, VoxelMap
 from lidarsim.grid import Field, Floats, Ints, Mask
+from scenegen.worlds.world import World
 
 SLACK_M = 2e-6
 """Addition to bounds for float32 ranges and for the tolerance of `occupancy`, metres."""
@@ -115,6 +118,62 @@ class MapAuditor:
         return ranges
 
 
+class MovingAuditor:
+    """Casts rays in a world with movers, each at its time: movers become mocap bodies of the
+    world's MuJoCo model, which are set anew for every time."""
+
+    def __init__(self, world: World, factory: EngineFactory, times_s: Floats):
+        """Compile the world with its movers.
+
+        Args:
+            world: The world.
+            factory: Makes the engine that casts rays.
+            times_s: (n,): when each ray is cast, seconds.
+        """
+        assert world.movers is not None
+        self._factory, self._times_s, self._movers = factory, times_s, world.movers
+        spec = mujoco.MjSpec.from_string(world.mjcf.decode(), assets=dict(world.assets))
+        self._movers.add_to(spec, 0.0)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
+        """Cast rays; see `lidarsim.engines.Caster.cast`.
+
+        Args:
+            origins: As there, of one pose.
+            directions: (1, n, 3), as there.
+            max_range_m: As there.
+
+        Returns:
+            Ranges (1, n) in metres; inf for no hit.
+        """
+        rays = np.asarray(directions)
+        ranges = np.empty(rays.shape[:2])
+        for time_s in np.unique(self._times_s):
+            chosen = self._times_s == time_s
+            self._place(float(time_s))
+            engine = self._factory(self._model, self._data)
+            ranges[:, chosen] = engine.cast(origins, rays[:, chosen], max_range_m)
+        return ranges
+
+    def _place(self, time_s: float) -> None:
+        """Set all movers to where they are at a time, by code of its own."""
+        movers = self._movers
+        since = time_s % movers.period_s
+        for m in range(len(movers)):
+            own = slice(*movers.piece_start[m : m + 2])
+            n = own.start + np.searchsorted(movers.begin_s[own], since, side="right") - 1
+            x, y, z, ahead, left = (
+                np.polyval(channel[::-1], since - movers.begin_s[n]) for channel in movers.course[n]
+            )
+            half = math.atan2(left, ahead) / 2
+            self._data.mocap_pos[m] = x, y, z
+            self._data.mocap_quat[m] = math.cos(half), 0.0, 0.0, math.sin(half)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+
+
 def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
     """Directions of a sensor's rays in the world.
 
@@ -165,7 +224,7 @@ def audit(
     ranges: Field,
     position: Floats,
     quaternion: Floats,
-    engine: Caster,
+    engine_of: Callable[[Ints], Caster],
     lidar: Sensor,
     *,
     solids: int,
@@ -177,7 +236,7 @@ def audit(
         ranges: Stored ranges, metres.
         position: Position of the sensor in the world, metres.
         quaternion: Attitude of the body, w x y z.
-        engine: Engine of the sample's world.
+        engine_of: Returns the engine of the sample's world for rays of these numbers (n,).
         lidar: The sensor.
         solids: Number of solids of the world, which limits the number of rays.
         rng: Chooses the rays if not all are cast.
@@ -191,7 +250,9 @@ def audit(
     max_rays = max(MAX_PAIRS // max(solids, 1), 100)
     if len(chosen) > max_rays:
         chosen = np.sort(rng.choice(chosen, max_rays, replace=False))
-    cast_ranges = engine.cast(position[None], directions[None, chosen], lidar.max_range_m)[0]
+    cast_ranges = engine_of(chosen).cast(
+        position[None], directions[None, chosen], lidar.max_range_m
+    )[0]
     stored = np.minimum(ranges.reshape(-1)[chosen].astype(np.float64), lidar.max_range_m)
     return chosen, cast_ranges, np.abs(stored - np.minimum(cast_ranges, lidar.max_range_m))
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Scan
-from lidarsim.engines import ENGINES
+from lidarsim.engines import ENGINES, Caster
+from lidarsim.grid import Ints
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
 from scenegen.base.errors import (
@@ -23,9 +24,10 @@ from scenegen.dataset.like import scan_again
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.parameters import differences
 from scenegen.draw.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
+from scenegen.draw.movers import ray_times
 from scenegen.draw.sample import FIELDS, rng_of
 from scenegen.draw.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
+from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of, times_of
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
@@ -67,11 +69,12 @@ def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     with reraise_as(CorruptFileError, f"{split} flight {unit} cannot be made again: ", of=errors):
         if contract.like is not None:
             with reraise_as(CorruptFileError, f"{shard.task.entry.file}: "):
-                stored = (partial(shard.file.value, row=row) for row, _ in views)
+                stored = [partial(shard.file.value, row=row) for row, _ in views]
                 poses = [[scan.pose for scan in scans_of(contract, fields)] for fields in stored]
+                times = [times_of(contract, fields) for fields in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
             world = worlds.world(names[0])
-            return scan_again(world, poses, recipe, key, names=names, engine=engine)
+            return scan_again(world, poses, times, recipe, key, names=names, engine=engine)
         source = (
             DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, worlds=worlds)
         )
@@ -131,7 +134,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
-            auditor(world, sample.contract.engine),
+            partial(_auditor, sample, world, number),
             lidar,
             solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
@@ -151,6 +154,14 @@ def _cast_again(sample: Sample, page: Page) -> None:
             )
 
 
+def _auditor(sample: Sample, world: AnyWorld, number: int, rays: Ints) -> Caster:
+    """Auditor of rays (n,) of a sample's scan."""
+    begin_s, lidar = sample.times_s[number], sample.contract.lidar
+    traffic = sample.contract.recipe.traffic
+    times_s = np.broadcast_to(ray_times(traffic, lidar, begin_s), lidar.shape).reshape(-1)
+    return auditor(world, sample.contract.engine, times_s[rays])
+
+
 def _effort(world: AnyWorld, max_range_m: float) -> int:
     """Number of solids that the auditor tries for a ray; for a map, a number that takes the same
     time."""
@@ -163,13 +174,14 @@ def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     """Clean scans of a noisy sample by the dataset's own engine. With noise added, they must equal
     the stored scans if the software is the same. Raises CorruptFileError."""
     task, contract = sample.shard.task, sample.contract
-    engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
+    engine = ENGINES.find(contract.engine).of  # one of ours
     unit, view = divmod(sample.shard.first_place + sample.row, contract.recipe.flight.viewpoints)
     errors = (GenerationError, ValueError)
     with reraise_as(CorruptFileError, f"{sample.where}: cannot be scanned again: ", of=errors):
-        clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
+        poses, times_s = [scan.pose for scan in sample.scans], sample.times_s
+        clean = scans_from(poses, times_s, world, engine, contract.recipe)
         key = UnitKey(contract.seed, task.entry.split, unit)
-        seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
+        seen = with_noise(clean, times_s, world, engine, contract.recipe, key, view)
     # compared by bits, so that inf equals inf and NaN itself
     wrong = sum(
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))

@@ -4,6 +4,7 @@ bit for bit."""
 import hashlib
 import math
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from scenegen.base.errors import CorruptFileError, reraise_as
 from scenegen.base.reading import sha256_of
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
+from scenegen.draw.movers import mover_voxels, stored_movers
 from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
@@ -31,6 +33,11 @@ NORMALS = ("return_normal",)
 """Fields that extend the digest of a sample with normals."""
 KNOWN = ("known", "ray_known")
 """Fields that extend the digest of a sample in a map of a real place."""
+MOVERS = (
+    *("scan_times", "course_end", "static_occupancy", "voxel_mover", "return_mover"),
+    *("mover_kind", "mover_solids", "mover_course"),
+)
+"""Fields that extend the digest of a sample with movers."""
 LEAN = 1e-9
 """Tolerance of the cosine of a body's tilt."""
 
@@ -42,7 +49,7 @@ def _own_digest(sample: Sample, page: Page) -> None:
         content_hash.update(sample.fields[name].tobytes())
     digest = content_hash.digest()
     # each group extends the digest of the groups before it
-    for names in (EARLIER, LABELLED, NORMALS, KNOWN):
+    for names in (EARLIER, LABELLED, NORMALS, KNOWN, MOVERS):
         if names[0] in sample.fields:
             digest = hashlib.sha256(
                 digest + b"".join(sample.fields[name].tobytes() for name in names)
@@ -125,6 +132,8 @@ def _lawful(sample: Sample, page: Page) -> None:
     if noise is None:
         # without noise, every return lies on a solid
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+        if "movers" in sample.contract.parts:
+            stray = _off_movers(sample)
         page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
     # unbounded noise may put returns anywhere
     elif noise.bound_m is not None:
@@ -141,6 +150,33 @@ def _lawful(sample: Sample, page: Page) -> None:
             not contradictions,
             f"{sample.where}: {contradictions} voxels are both free and observed",
         )
+
+
+def _off_movers(sample: Sample) -> int:
+    """Count voxels with a return of a scan where nothing was when that scan began; returns from
+    movers do not count if rays have times of their own."""
+    contract, stray, traffic = sample.contract, 0, sample.contract.recipe.traffic
+    assert traffic is not None
+    grid, origin = contract.grid, sample.fields["origin"]
+    movers = stored_movers(SimpleNamespace(**sample.fields))
+    for scan, time_s in zip(sample.scans, sample.times_s, strict=True):
+        points = scan.points()
+        if traffic.firing_times:
+            # movers within the scan's time; what they may have met is not judged here
+            hit = np.isfinite(scan.ranges)
+            rays = np.array(
+                [movers.distance_m(point, time_s, contract.recipe.scan_s) for point in points]
+            )
+            points = points[rays > 0] if hit.any() else points
+        index = grid.index(points, origin)
+        index = index[((index >= 0) & (index < grid.shape)).all(axis=1)]
+        there = sample.fields["static_occupancy"] | (
+            mover_voxels(movers, grid, origin, float(time_s)) >= 0
+        )
+        seen = np.zeros(grid.shape, bool)
+        seen[tuple(index.T)] = True
+        stray += int(np.count_nonzero(seen & ~there))
+    return stray
 
 
 def _part_laws(sample: Sample, page: Page) -> None:
@@ -192,6 +228,13 @@ def _occupancy(sample: Sample, page: Page) -> None:
         again, known = resample(solids, grid, origin)
     else:
         again = rasterize(solids, grid, origin)
+    if "movers" in sample.contract.parts:
+        _expect_equal(sample, "static_occupancy", again, f"world {sample.world}", page)
+        # movers, from the sample's own tables, are what is occupied beside
+        movers = stored_movers(SimpleNamespace(**sample.fields))
+        again = again | rasterize(movers.solids(float(sample.times_s[0])), grid, origin)
+        mover = mover_voxels(movers, grid, origin, float(sample.times_s[0]))
+        _expect_equal(sample, "voxel_mover", mover, "its movers", page)
     _expect_equal(sample, "occupancy", again, f"world {sample.world}", page)
     if "known" in sample.fields:
         _expect_equal(sample, "known", known, f"world {sample.world}", page)

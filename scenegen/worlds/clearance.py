@@ -9,6 +9,7 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
+from lidarsim.movers import pose, velocity
 from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
@@ -19,6 +20,8 @@ MAX_CELLS = 250_000
 """The greatest number of cells; in larger boxes, cells are larger."""
 CAP_M = 1.0
 """Distances are exact up to this, and capped at it."""
+STEP_S = 1e-3
+"""Shortest step of a course's check, seconds."""
 STEP_M = 1e-3
 """Shortest step of a motion check. Between two steps, a solid may be closer by this."""
 
@@ -92,6 +95,28 @@ class Clearance:
             Whether it stays clear.
         """
         return bool(_motion_is_free(p, q, radius_m, self._arguments))
+
+    def course_is_free(
+        self, begin_s: Floats, course: Floats, end_s: float, balls: Floats, gap_m: float
+    ) -> bool:
+        """Test whether balls on a mover stay clear of every solid during its course.
+
+        Time is halved until a ball cannot reach a solid in what is left of it, so a free course may
+        be refused, and one that is not free never passes.
+
+        Args:
+            begin_s: (P,): when pieces begin, seconds.
+            course: (P, 5, 4): as in `lidarsim.movers.Movers`; places of second degree at most, and
+                headings that run along a chord.
+            end_s: When the last piece ends, seconds.
+            balls: (B, 4): centre in the mover's frame and radius, below `CAP_M`, metres.
+            gap_m: How far they must stay away, metres.
+
+        Returns:
+            Whether they stay clear.
+        """
+        grown = balls + np.array([0.0, 0.0, 0.0, gap_m])
+        return bool(_course_is_free(begin_s, course, end_s, grown, self._arguments))
 
 
 def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints]:
@@ -228,3 +253,38 @@ def _motion_is_free(p, q, radius, arguments):
         if s >= 1.0:
             return True
         t = min(t + max(free, STEP_M), length)
+
+
+@kernel
+def _course_is_free(begin_s, course, end_s, balls, arguments):
+    """See `Clearance.course_is_free`."""
+    for ball in range(len(balls)):
+        for piece in range(len(begin_s)):
+            last = begin_s[piece + 1] if piece + 1 < len(begin_s) else end_s
+            whole = last - begin_s[piece]
+            begin, step = 0.0, whole
+            while begin < whole:
+                end = min(begin + step, whole)
+                middle = 0.5 * (begin + end)
+                x, y, z, cosine, sine = pose(course, piece, middle)
+                bx, by = balls[ball, 0], balls[ball, 1]
+                # the speed is greatest at an end, and so is the turn from the middle
+                swing = 0.0
+                speed = 0.0
+                for time in (begin, end):
+                    u, v, w = velocity(course, piece, time)
+                    speed = max(speed, math.sqrt(u * u + v * v + w * w))
+                    _, _, _, c, s = pose(course, piece, time)
+                    swing = max(swing, math.sqrt((c - cosine) ** 2 + (s - sine) ** 2))
+                reach = speed * (end - middle) + swing * math.sqrt(bx * bx + by * by)
+                x += cosine * bx - sine * by
+                y += sine * bx + cosine * by
+                z += balls[ball, 2]
+                free = _clearance(x, y, z, CAP_M, 0.0, arguments) - balls[ball, 3]
+                if free >= reach:
+                    begin, step = end, 2.0 * (end - begin)
+                elif free < 0.0 or end - begin < STEP_S:
+                    return False
+                else:
+                    step = 0.5 * (end - begin)
+    return True

@@ -12,6 +12,7 @@ import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
+from lidarsim.noise.losses import Motion
 from lidarsim.parameters import Checked, number, short_repr
 from scenegen.base.errors import RecipeError, printable, reraise_as
 from scenegen.base.files import Json
@@ -37,6 +38,7 @@ from scenegen.worlds.tables import (
     read_toml,
     sensor_of,
 )
+from scenegen.worlds.traffic import Traffic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +148,31 @@ class Recipe:
                     f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan "
                     f"from along one flight, expected {MAX_CANDIDATES} at most; raise it"
                 )
+
+        if self.traffic is not None:
+            self._check_movers(self.traffic)
+
+    def _check_movers(self, traffic: Traffic) -> None:
+        """Raise ValueError if movers do not go with other settings."""
+        if self.world is None:
+            raise ValueError("[movers]: worlds from files have none; generate a kind of worlds")
+        if "labels" in self.parts:
+            raise ValueError("[movers]: have no labels; leave labels out, and see voxel_mover")
+        if traffic.firing_times and any(isinstance(stage, Motion) for stage in self.noise.stages):
+            raise ValueError(
+                "[movers] firing_times: do not go with the noise motion; leave one of the two out"
+            )
+
+    @property
+    def traffic(self) -> Traffic | None:
+        """The settings of movers; None where nothing moves."""
+        return self.parts.get("movers")
+
+    @property
+    def scan_s(self) -> float:
+        """How long movers move during a scan, seconds."""
+        timed = self.traffic is not None and self.traffic.firing_times
+        return float(self.lidar.times_s.max()) if timed else 0.0
 
     @property
     def version(self) -> int:

@@ -5,17 +5,18 @@ import hashlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from lidarsim import Engine, GridSpec, Pose, Scan, Sensor
-from lidarsim.engines import EngineFactory
+from lidarsim import AnalyticEngine, Engine, GridSpec, Pose, Scan, Sensor
+from lidarsim.engines import Caster, EngineFactory
 from lidarsim.grid import Floats, Mask
-from lidarsim.noise.returns import albedo_of
+from lidarsim.movers import Movers, MovingCaster
+from lidarsim.noise.returns import GREY, albedo_of
 from lidarsim.parameters import MAX_LENGTH_M, short_repr
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, Solids, solids_of, visible_geoms
 from scenegen.base.errors import SceneError, reraise_as
@@ -23,7 +24,9 @@ from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
 from scenegen.worlds.mapping import Known
+from scenegen.worlds.movers import TEXT, Zones, draw_movers, read_text, with_text
 from scenegen.worlds.place import Place, archived_place, named_map
+from scenegen.worlds.traffic import Traffic
 
 
 @contextmanager
@@ -58,6 +61,8 @@ class World:
     solids: Solids
     flight_bounds: Floats
     """(2, 3): least and greatest corner of the box in which the sensor may fly, metres."""
+    movers: Movers | None = None
+    """What moves in it. All else of this class is of what stands still."""
     unseen: tuple[str, ...] = ()
     """Geoms that rays cannot see, and that therefore are not in the truth either."""
 
@@ -84,8 +89,9 @@ class World:
 
     @property
     def albedo(self) -> Floats:
-        """The share of light that every geom reflects, (ngeom,)."""
-        return albedo_of(self.model)
+        """The share of light that every geom reflects, (ngeom,), and every solid of movers."""
+        solids = 0 if self.movers is None else len(self.movers.owner)
+        return np.append(albedo_of(self.model), np.full(solids, GREY))
 
     @cached_property
     def _casters(self) -> dict[EngineFactory, Engine]:
@@ -98,6 +104,18 @@ class World:
             with reraise_as(SceneError):
                 self._casters[engine] = engine(self.model, self.data)
         return self._casters[engine]
+
+    def caster_at(self, engine: EngineFactory, time_s: ArrayLike) -> Caster:
+        """Return the caster of this world at a time.
+
+        Args:
+            engine: As for `caster`.
+            time_s: Seconds; one number, or one for each ray of a pose.
+        """
+        standing = self.caster(engine)
+        if self.movers is None:
+            return standing
+        return MovingCaster(standing, self.movers, time_s, geoms=self.model.ngeom)
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """Compute the ground truth of a sample.
@@ -203,7 +221,40 @@ def compile_world(
         mujoco.mj_comPos(model, data)
         with reraise_as(SceneError, f"{name}: "):
             solids = solids_of(model, data)
-        return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
+            movers = _movers_of(model)
+        bounds = _flight_bounds(model, solids, name)
+        return World(mjcf, assets, model, data, solids, bounds, movers, unseen)
+
+
+def _movers_of(model: mujoco.MjModel) -> Movers | None:
+    """Read the movers of a document, if it has some. Raises ValueError if they are damaged."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
+    if number < 0:
+        return None
+    first, size = int(model.text_adr[number]), int(model.text_size[number])
+    # MuJoCo ends texts by a zero byte
+    return read_text(bytes(model.text_data[first : first + size - 1]).decode())
+
+
+def populated(
+    world: World, zones: Zones, traffic: Traffic, *, rng: np.random.Generator
+) -> World | None:
+    """Add movers to a world.
+
+    Args:
+        world: The world, without movers.
+        zones: Where movers belong.
+        traffic: How many there are, and how they move.
+        rng: Decides everything that is random.
+
+    Returns:
+        The world with movers, in its document, too; None if they find no room.
+    """
+    caster = world.caster(AnalyticEngine.of)
+    movers = draw_movers(world.solids, caster, zones, traffic, rng=rng)
+    if movers is None:
+        return None
+    return replace(world, mjcf=with_text(world.mjcf, movers), movers=movers)
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 from scenegen.draw.parts.labels import LabelsPart
+from scenegen.draw.parts.movers import MoversPart
 from scenegen.draw.parts.normals import NormalsPart
 
 
@@ -76,7 +77,11 @@ class Part(Protocol):
         ...
 
 
-PARTS: Mapping[str, Part] = {"labels": LabelsPart(), "normals": NormalsPart()}
+PARTS: Mapping[str, Part] = {
+    "labels": LabelsPart(),
+    "normals": NormalsPart(),
+    "movers": MoversPart(),
+}
 """All parts by name."""
 
 

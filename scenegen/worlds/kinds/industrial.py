@@ -37,6 +37,7 @@ class Industrial(Classed):
         },
     }
     crowded_by = ("machine_density", "scaffold_density", "tank_density")
+    movers = ("person", "vehicle", "drone")
     flight_defaults = {"altitude_m": (0.8, 6.0)}
 
     size_m: Size = (40.0, 40.0, 9.0)

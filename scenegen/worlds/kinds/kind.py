@@ -41,6 +41,9 @@ class WorldKind(ABC):
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.worlds.recipe.Acceptance`."""
 
+    movers: ClassVar[tuple[str, ...]] = ("person", "drone")
+    """Kinds of movers that belong in these worlds, see `scenegen.worlds.traffic.KINDS`."""
+
     shares: ClassVar[tuple[str, ...]] = ()
     """The parameters that are shares of one whole."""
     graded: ClassVar[dict[str, dict[str, object]]] = {}
@@ -78,6 +81,15 @@ class WorldKind(ABC):
         otherwise overrides this."""
         densities = [value for name, value in vars(self).items() if name.endswith("density")]
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
+
+    def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:
+        """Return where movers belong, by their kind: boxes (2, 3), metres, that hold the corners of
+        their courses. By default, all of them belong everywhere.
+
+        Args:
+            bounds: (2, 3): the box in which the sensor flies, metres.
+        """
+        return {name: [bounds] for name in self.movers}
 
     @abstractmethod
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:

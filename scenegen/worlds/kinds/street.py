@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.random import Generator
 
+from lidarsim.grid import Floats
 from lidarsim.solids import BOX
 from scenegen.worlds.drawing import Drawing
 from scenegen.worlds.kinds.kind import Classed, Range, Size
@@ -42,6 +43,7 @@ class Street(Classed):
         },
     }
     crowded_by = ("tree_density", "bush_density")
+    movers = ("person", "vehicle", "drone")
     flight_defaults = {"altitude_m": (0.8, 8.0)}
 
     size_m: Size = (40.0, 40.0, 12.0)
@@ -78,6 +80,18 @@ class Street(Classed):
     """Hedges per square metre of pavement; one value a world."""
     wire_share: float = 0.5
     """Share of streets with wires between lamp posts."""
+
+    def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:
+        """Keep vehicles to the middle of the road, between parked cars; see
+        `WorldKind.mover_zones`."""
+        edges = np.linspace(bounds[0, 0], bounds[1, 0], 4).tolist()
+        middle = self.size_m[1] / 2
+        # one vehicle a stretch has room; two in one lane would meet
+        stretches = [
+            np.array([[low + 3, middle - 0.2, 0.0], [high - 3, middle + 0.2, bounds[1, 2]]])
+            for low, high in pairwise(edges)
+        ]
+        return super().mover_zones(bounds) | {"vehicle": stretches}
 
     def max_solids(self) -> float:
         """Count the relief of two rows of houses, and everything on the pavements."""

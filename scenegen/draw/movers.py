@@ -1,0 +1,214 @@
+"""Fields of samples with movers: how they are computed, and what follows from them at other
+times."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import AnalyticEngine, GridSpec
+from lidarsim.grid import Field, Floats, Mask
+from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, MovingCaster
+from lidarsim.pose import rotate
+from scenegen.base.errors import DatasetError, GenerationError
+from scenegen.truth import distance_field, rasterize
+from scenegen.worlds.traffic import MAX_MOVERS, MAX_PIECES, MAX_SOLIDS, Traffic
+
+NO_SHAPE = -1.0
+"""Shape of a row of `mover_solids` that holds no solid."""
+
+
+def ray_times(traffic: Traffic | None, lidar: Any, time_s: float) -> Any:
+    """Times at which rays meet movers.
+
+    Args:
+        traffic: The recipe's movers, or None.
+        lidar: The sensor.
+        time_s: When the scan begins, seconds.
+
+    Returns:
+        One number, or one for each ray, (*lidar.shape), seconds.
+    """
+    return time_s + lidar.times_s if traffic is not None and traffic.firing_times else time_s
+
+
+def mover_voxels(
+    movers: Movers, grid: GridSpec, origin: Floats, time_s: float
+) -> NDArray[np.int16]:
+    """Which mover touches each voxel.
+
+    Args:
+        movers: The movers.
+        grid: The grid.
+        origin: (3,): its least corner in the world, metres.
+        time_s: The time, seconds.
+
+    Returns:
+        (*grid.shape): the smallest number of a mover; -1 for none.
+    """
+    voxels = np.full(grid.shape, -1, np.int16)
+    solids = movers.solids(time_s)
+    near = (solids.lower <= origin + grid.extent_m) & (solids.upper >= origin)
+    # most movers are far from a sample's map; the smallest number is written last
+    for number in np.unique(movers.owner[near.all(axis=1)])[::-1].tolist():
+        first, last = movers.solid_start[number : number + 2]
+        names = ("shape", "size", "position", "rotation", "lower", "upper", "geom")
+        own = {name: getattr(solids, name)[first:last] for name in names}
+        voxels[rasterize(replace(solids, **own), grid, origin)] = number
+    return voxels
+
+
+def mover_fields(
+    fields: Mapping[str, Any], world: Any, recipe: Any, traffic: Traffic
+) -> dict[str, Any]:
+    """Compute the fields of the group "movers" that are not part of the truth.
+
+    Args:
+        fields: Other fields of the sample, `scan_times` among them.
+        world: The `World`, with movers.
+        recipe: The `Recipe`.
+        traffic: The settings.
+
+    Returns:
+        Fields by name.
+
+    Raises:
+        GenerationError: if a course has more pieces than the table.
+    """
+    movers: Movers = world.movers
+    times, lidar = fields["scan_times"], recipe.lidar
+    caster = MovingCaster(
+        world.caster(AnalyticEngine.of), movers, ray_times(traffic, lidar, float(times[0]))
+    )
+    directions = rotate(fields["quaternion"], lidar.directions_body)
+    solid = caster.solid_of(fields["position"][None], directions[None], lidar.max_range_m)[0]
+    hit = np.where(solid >= 0, movers.owner[solid], -1).astype(np.int16)
+    # the clean ray counts: noise changes ranges, and may lose a return
+    hit[~np.isfinite(fields["ranges"])] = -1
+    return {
+        "return_mover": hit,
+        "course_end": (end_s := times[0] + traffic.after_s),
+        **_tables(movers, float(times.min()), float(end_s)),
+    }
+
+
+def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
+    """Tables of movers and of their courses in an interval of time."""
+    part = movers.window(begin_s, end_s)
+    kind = np.zeros(MAX_MOVERS, np.int16)
+    solids = np.full((MAX_MOVERS, MAX_SOLIDS, 7), NO_SHAPE)
+    course = np.full((MAX_MOVERS, MAX_PIECES, 1 + CHANNELS * COEFFICIENTS), np.nan)
+    kind[: len(part)] = part.kind
+    for m in range(len(part)):
+        own = part.owner == m
+        rows = np.column_stack([part.shape[own], part.size[own], part.offset[own]])
+        solids[m, : len(rows)] = rows
+        first, last = part.piece_start[m : m + 2]
+        if last - first > MAX_PIECES:
+            raise GenerationError(
+                f"movers.after_s: a course has {last - first} pieces in {end_s - begin_s:g} s, and "
+                f"a sample stores {MAX_PIECES}; lower it"
+            )
+        course[m, : last - first, 0] = part.begin_s[first:last]
+        course[m, : last - first, 1:] = part.course[first:last].reshape(last - first, -1)
+    return {"mover_kind": kind, "mover_solids": solids, "mover_course": course}
+
+
+def stored_movers(sample: Any) -> Movers:
+    """Read the movers of a sample from its tables.
+
+    Args:
+        sample: The sample.
+
+    Returns:
+        The movers, whose courses hold from the earliest scan to `after_s` after the sample's time.
+
+    Raises:
+        DatasetError: if the sample has none.
+    """
+    if sample.mover_kind is None:
+        raise DatasetError("this sample has no movers; generate the dataset with --movers")
+    count = int(np.count_nonzero(sample.mover_kind))
+    solids, course = sample.mover_solids[:count], sample.mover_course[:count]
+    present, pieces = solids[:, :, 0] != NO_SHAPE, np.isfinite(course[:, :, 0])
+    rows = solids[present]
+    starts = np.concatenate([[0], np.cumsum(pieces.sum(axis=1))])
+    return Movers(
+        kind=sample.mover_kind[:count].astype(np.int64),
+        owner=np.nonzero(present)[0],
+        shape=rows[:, 0].astype(np.int64),
+        size=rows[:, 1:4].copy(),
+        offset=rows[:, 4:].copy(),
+        piece_start=starts.astype(np.int64),
+        begin_s=course[:, :, 0][pieces],
+        course=course[pieces][:, 1:].reshape(-1, CHANNELS, COEFFICIENTS),
+    )
+
+
+class Motion:
+    """What moves in a sample: its content at other times.
+
+    Times are seconds after the sample's own, negative for earlier ones, from `span_s[0]` to
+    `span_s[1]`."""
+
+    def __init__(self, sample: Any, *, grid: GridSpec):
+        """Read the tables of a sample.
+
+        Args:
+            sample: A sample with movers.
+            grid: Its grid.
+        """
+        self.movers, self._sample, self._grid = stored_movers(sample), sample, grid
+        times = sample.scan_times
+        self._now_s = float(times[0])
+        self.span_s = (float(times.min()) - self._now_s, float(sample.course_end) - self._now_s)
+
+    def at(self, after_s: float) -> float:
+        """Check a time, and return it as the movers' courses have it, seconds.
+
+        Raises:
+            DatasetError: if courses are not stored for it.
+        """
+        low, high = self.span_s
+        if not low <= after_s <= high:
+            raise DatasetError(
+                f"{after_s:g} s after the sample's time: courses are stored from {low:g} to "
+                f"{high:g} s; generate the dataset with another movers.after_s"
+            )
+        return self._now_s + after_s
+
+    @cached_property
+    def moving(self) -> Mask:
+        """(*grid.shape): voxels that a mover with a speed above 0 touches now."""
+        _, _, speeds, turns = self.movers.poses(self._now_s)
+        goes = speeds.any(axis=1) | (turns != 0)
+        number = self._sample.voxel_mover
+        return np.append(goes, False)[number]
+
+    def occupancy(self, after_s: float) -> Mask:
+        """Occupied voxels (*grid.shape) at a time: those of solids that stand, and of movers."""
+        now = mover_voxels(self.movers, self._grid, self._sample.origin, self.at(after_s))
+        return np.asarray(self._sample.static_occupancy | (now >= 0))
+
+    def tudf(self, after_s: float) -> Field:
+        """Truncated distances (*grid.shape) at a time, metres; see `Sample.tudf`."""
+        return distance_field(self.occupancy(after_s), self._grid)
+
+    def flow(self) -> Field:
+        """Velocity (*grid.shape, 3), metres a second in the world's axes, of the mover at the
+        centre of each voxel that it touches; 0 elsewhere."""
+        number = self._sample.voxel_mover
+        flow = np.zeros((*self._grid.shape, 3), np.float32)
+        position, _, speed, turn = self.movers.poses(self._now_s)
+        index = np.argwhere(number >= 0)
+        m = number[tuple(index.T)]
+        centres = self._sample.origin + (index + 0.5) * self._grid.voxel_m
+        arm, velocity = centres - position[m], speed[m].copy()
+        # a turn about the mover's vertical axis
+        velocity[:, 0] -= turn[m] * arm[:, 1]
+        velocity[:, 1] += turn[m] * arm[:, 0]
+        flow[tuple(index.T)] = velocity
+        return flow

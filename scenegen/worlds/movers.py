@@ -1,0 +1,658 @@
+"""Movers of a world: drawn, certified not to pass through solids or each other, and written into
+the world's document and read from it.
+
+Courses are made of straight legs and, at the corners of loops, of parabolas: pieces of at most
+second degree in time, see `lidarsim.movers`. Times of pieces are whole multiples of `TICK_S`, so
+that sums of them are exact."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from lidarsim.engines import Caster
+from lidarsim.grid import Floats, Vector
+from lidarsim.jit import kernel
+from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
+from lidarsim.parameters import MAX_LENGTH_M
+from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
+from scenegen.worlds.clearance import Clearance
+from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Traffic
+
+TICK_S = 2.0**-10
+"""Resolution of the times at which pieces begin, seconds."""
+GAP_M = 0.05
+"""How far movers stay from solids and each other, at least, metres."""
+TRIES = 60
+"""Courses that are tried for one mover before the world is given up."""
+STARTS = 8
+"""Places of which the first with room is where a tour begins."""
+LEGS = 8
+"""Most legs of a course."""
+LEAST_LEG_M, MOST_LEG_M = 1.5, 15.0
+REACH_M = 50.0
+"""How far below a place the ground is looked for, metres."""
+TEXT = "movers"
+"""Name of the document's <text> that holds movers."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The solids of a mover, and balls that cover them, in its frame: x ahead, z up from the
+    ground, metres."""
+
+    kind: str
+    shape: tuple[int, ...]
+    size: Floats
+    """(S, 3): MuJoCo's sizes."""
+    offset: Floats
+    """(S, 3): centres."""
+
+    @cached_property
+    def balls(self) -> Floats:
+        """Balls (B, 4), centre and radius, that hold every point of the solids."""
+        boxes = [
+            (centre - reach, centre + reach)
+            for centre, reach in zip(self.offset, self._half(), strict=True)
+        ]
+        return np.concatenate([_covered(low, high) for low, high in boxes])
+
+    @cached_property
+    def ball(self) -> tuple[float, float]:
+        """Height of the centre and radius of a ball, centred above the origin, that holds all."""
+        half = self._half()
+        low, high = (self.offset - half)[:, 2].min(), (self.offset + half)[:, 2].max()
+        middle = float(low + high) / 2
+        corners = np.abs(self.offset - (0.0, 0.0, middle)) + half
+        return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
+
+    def _half(self) -> Floats:
+        """Half edges (S, 3) of boxes around the solids."""
+        half = self.size.copy()
+        capsules = np.array(self.shape) == CAPSULE
+        half[capsules] = np.stack(
+            [self.size[:, 0], self.size[:, 0], self.size[:, :2].sum(axis=1)], 1
+        )[capsules]
+        return half
+
+
+def _covered(low: Floats, high: Floats) -> Floats:
+    """Balls (B, 4) about the cells of a box that cover it."""
+    cells = np.maximum(np.ceil((high - low) / 0.5), 1).astype(int)
+    edge = (high - low) / cells
+    index = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    radius = math.sqrt(float(edge @ edge)) / 2
+    return np.column_stack([low + (index + 0.5) * edge, np.full(len(index), radius)])
+
+
+def person(rng: Generator) -> Body:
+    """Draw a person: one upright capsule.
+
+    Stature and shoulder breadth span the 5th percentile of women to the 95th of men (DIN 33402-2).
+    """
+    height, radius = rng.uniform(1.53, 1.86), rng.uniform(0.19, 0.26)
+    half = height / 2 - radius
+    return Body(
+        "person", (CAPSULE,), np.array([[radius, half, 0.0]]), np.array([[0, 0, height / 2]])
+    )
+
+
+def vehicle(rng: Generator) -> Body:
+    """Draw a vehicle: a box with a cabin, of the sizes of passenger cars (as the cars of `street`),
+    and as high above the ground."""
+    long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
+    base, body, shift = 0.22, 0.55 * high, rng.uniform(-0.3, 0.3)
+    size = [[long / 2, wide / 2, (body - base) / 2], [0.27 * long, 0.45 * wide, (high - body) / 2]]
+    offset = [[0, 0, (base + body) / 2], [shift, 0, (body + high) / 2]]
+    return Body("vehicle", (BOX, BOX), np.array(size), np.array(offset))
+
+
+def drone(rng: Generator) -> Body:
+    """Draw a drone: a flat ellipsoid, 0.3 to 0.9 m across with its rotors."""
+    radius = rng.uniform(0.15, 0.45)
+    size = np.array([[radius, radius, 0.3 * radius]])
+    return Body("drone", (ELLIPSOID,), size, np.zeros((1, 3)))
+
+
+SHAPES = (BOX, CAPSULE, ELLIPSOID)
+BODIES: dict[str, Callable[[Generator], Body]] = {
+    "person": person,
+    "vehicle": vehicle,
+    "drone": drone,
+}
+
+
+@dataclass(frozen=True)
+class Course:
+    """One mover's course over a period."""
+
+    begin_s: Floats
+    """(P,)."""
+    pieces: Floats
+    """(P, CHANNELS, COEFFICIENTS)."""
+
+
+class _Writer:
+    """Writes a course piece by piece, each for a whole number of ticks."""
+
+    def __init__(self) -> None:
+        self.ticks, self.begins, self.pieces = 0, list[int](), list[Floats]()
+
+    def add(self, ticks: int, place: Any, heading: Any, *further: Any) -> None:
+        """Add a piece: its first place (3,), metres, velocity and half its acceleration (3,) each;
+        its heading is constant (2,), or (2, COEFFICIENTS)."""
+        if ticks == 0:
+            return
+        piece = np.zeros((CHANNELS, COEFFICIENTS))
+        for power, values in enumerate((place, *further)):
+            piece[:3, power] = values
+        heading = np.asarray(heading, float)
+        piece[3:] = heading if heading.ndim == 2 else heading[:, None] * (1.0, 0.0, 0.0, 0.0)
+        self.begins.append(self.ticks)
+        self.pieces.append(piece)
+        self.ticks += ticks
+
+    def course(self) -> Course:
+        """The course so far."""
+        return Course(np.array(self.begins) * TICK_S, np.array(self.pieces))
+
+
+def _ticks(seconds: float) -> int:
+    """Seconds as a whole number of ticks, rounded up: slower, never faster than asked."""
+    return max(math.ceil(seconds / TICK_S), 1)
+
+
+def _turn(writer: _Writer, place: Floats, start: Floats, end: Floats, rate: float) -> None:
+    """Turn on the spot from one heading (2,) to another, in parts of a right angle at most.
+
+    The heading runs along the chord between two unit vectors by 3 s² - 2 s³."""
+    if start @ end < -1e-9:
+        # by way of the left, so that no part exceeds a right angle
+        middle = np.array([-start[1], start[0]])
+        if middle @ end < 0:
+            middle = -middle
+        _turn(writer, place, start, middle, rate)
+        start = middle
+    chord = end - start
+    length = math.sqrt(float(chord @ chord))
+    if length < 1e-9:
+        return
+    # an arc is at most π/(2√2) = 1.12 times as long as its chord
+    ticks = _ticks(1.12 * length / rate)
+    seconds = ticks * TICK_S
+    smooth = np.array([0.0, 0.0, 3.0 / (seconds * seconds), -2.0 / (seconds * seconds * seconds)])
+    heading = chord[:, None] * smooth
+    heading[:, 0] = start
+    writer.add(ticks, place, heading)
+
+
+def from_stop_to_stop(
+    points: Floats,
+    speed: float,
+    acceleration: float,
+    rate: float,
+    waits_s: Sequence[float],
+    *,
+    backs_up: bool = False,
+) -> Course | None:
+    """Make a course that stops, waits and turns at every point, and repeats.
+
+    Args:
+        points: (n, 3): corners of a closed tour at one height, metres.
+        speed: Greatest speed, metres a second.
+        acceleration: Greatest acceleration, m/s².
+        rate: See `Traffic.turn_rad_s`.
+        waits_s: (n,): how long it stands at each point, seconds.
+        backs_up: Whether it goes backwards instead of turning by more than a right angle.
+
+    Returns:
+        The course; None if the tour takes longer than `PERIOD_S`.
+    """
+    legs = np.roll(points, -1, axis=0) - points
+    lengths = np.sqrt((legs * legs).sum(axis=1))
+    headings = (legs / lengths[:, None])[:, :2]
+    headings = headings / np.sqrt((headings * headings).sum(axis=1))[:, None]
+    for n in range(1, len(points) if backs_up else 0):
+        headings[n] *= 1.0 if headings[n] @ headings[n - 1] >= 0 else -1.0
+    writer = _Writer()
+    for n in range(len(points)):
+        writer.add(_ticks(waits_s[n]), points[n], headings[n - 1])
+        _turn(writer, points[n], headings[n - 1], headings[n], rate)
+        # rising and falling speed, with constant speed between them where the leg is long enough
+        peak = min(speed, math.sqrt(acceleration * lengths[n]))
+        rise = _ticks(peak / acceleration)
+        cruise = math.ceil((lengths[n] / peak - rise * TICK_S) / TICK_S)
+        cruise = max(cruise, 0)
+        velocity = legs[n] / ((rise + cruise) * TICK_S)
+        half = velocity / (2 * rise * TICK_S)
+        begun = points[n] + velocity * (rise * TICK_S / 2)
+        writer.add(rise, points[n], headings[n], (0, 0, 0), half)
+        writer.add(cruise, begun, headings[n], velocity)
+        slowing = begun + velocity * (cruise * TICK_S)
+        writer.add(rise, slowing, headings[n], velocity, -half)
+    return _repeated(writer, points[0], headings[-1])
+
+
+def without_stop(points: Floats, speed: float, acceleration: float) -> Course | None:
+    """Make a course round a loop at nearly constant speed, whose corners are parabolas.
+
+    Args:
+        points: (n, 3): corners of the loop at one height, metres.
+        speed: Greatest speed, metres a second.
+        acceleration: Greatest acceleration, m/s².
+
+    Returns:
+        The course; None if no whole number of rounds takes `PERIOD_S`, or corners are too sharp.
+    """
+    legs = np.roll(points, -1, axis=0) - points
+    lengths = np.sqrt((legs * legs).sum(axis=1))
+    rounds = math.floor(PERIOD_S * speed / lengths.sum())
+    if rounds < 1:
+        return None
+    # only powers of two divide the period into whole ticks
+    rounds = 2 ** math.floor(math.log2(rounds))
+    total = round(PERIOD_S / rounds / TICK_S)
+    ticks = np.floor(lengths / lengths.sum() * total).astype(int)
+    ticks[-1] = total - ticks[:-1].sum()
+    velocity = legs / (ticks * TICK_S)[:, None]
+    change = velocity - np.roll(velocity, 1, axis=0)
+    # even, so that half of a corner is a whole number of ticks
+    corner = 2 * np.ceil(np.sqrt((change * change).sum(axis=1)) / acceleration / TICK_S / 2).astype(
+        int
+    )
+    corner = np.maximum(corner, 2)
+    if (corner / 2 + np.roll(corner, -1) / 2 > ticks).any():
+        return None
+    headings = velocity[:, :2] / np.sqrt((velocity[:, :2] ** 2).sum(axis=1))[:, None]
+    # a corner of more than a right angle would need two pieces
+    if ((headings * np.roll(headings, 1, axis=0)).sum(axis=1) < 0).any():
+        return None
+    writer = _Writer()
+    for _ in range(rounds):
+        for n in range(len(points)):
+            after = n + 1 if n + 1 < len(points) else 0
+            half = corner[n] // 2
+            # from the middle of the corner before to the middle of this leg's end
+            seconds, first = corner[n] * TICK_S, points[n] - velocity[n - 1] * (half * TICK_S)
+            chord = headings[n] - headings[n - 1]
+            smooth = np.array([0.0, 0.0, 3.0 / seconds**2, -2.0 / seconds**3])
+            heading = chord[:, None] * smooth
+            heading[:, 0] = headings[n - 1]
+            writer.add(int(corner[n]), first, heading, velocity[n - 1], change[n] / (2.0 * seconds))
+            straight = int(ticks[n] - half - corner[after] // 2)
+            writer.add(
+                straight, points[n] + velocity[n] * (half * TICK_S), headings[n], velocity[n]
+            )
+    return writer.course()
+
+
+def _repeated(writer: _Writer, place: Floats, heading: Floats) -> Course | None:
+    """Repeat a tour while it fits into the period, and stand for the rest of it."""
+    period = round(PERIOD_S / TICK_S)
+    if writer.ticks > period:
+        return None
+    rounds, tour = period // writer.ticks, writer.course()
+    begin = np.concatenate([tour.begin_s + n * writer.ticks * TICK_S for n in range(rounds)])
+    pieces = np.tile(tour.pieces, (rounds, 1, 1))
+    if rest := period - rounds * writer.ticks:
+        still = _Writer()
+        still.add(rest, place, heading)
+        begin = np.append(begin, rounds * writer.ticks * TICK_S)
+        pieces = np.concatenate([pieces, still.course().pieces])
+    return Course(begin, pieces)
+
+
+Zones = dict[str, list[Floats]]
+"""Boxes (2, 3), metres, in which the courses of each kind of mover have their corners."""
+
+
+def draw_movers(
+    solids: Solids, caster: Caster, zones: Zones, traffic: Traffic, *, rng: Generator
+) -> Movers | None:
+    """Draw the movers of a world.
+
+    A course is accepted if balls that cover the mover stay `GAP_M` from every solid at all times,
+    and balls around movers from each other. So some courses that are free are rejected, too.
+
+    Args:
+        solids: What stands in the world.
+        caster: Casts rays at it, which find the ground.
+        zones: Where movers belong; a kind without zones has no movers.
+        traffic: How many there are, and how they move.
+        rng: Decides everything that is random.
+
+    Returns:
+        The movers; None if the least number of a kind finds no room.
+    """
+    boxes = [box for of_kind in zones.values() for box in of_kind]
+    around = np.stack(
+        [np.min(boxes, axis=0)[0] - MOST_LEG_M, np.max(boxes, axis=0)[1] + MOST_LEG_M]
+    )
+    clearance = Clearance(solids, around)
+    accepted: list[tuple[Body, Course]] = []
+    # the largest first: they find room last
+    for kind in sorted(KINDS, key=lambda name: name != "vehicle"):
+        low, high = traffic.counts(kind) if zones.get(kind) else (0, 0)
+        wanted = int(rng.integers(low, high + 1))
+        for number in range(wanted):
+            found = _draw_mover(kind, clearance, caster, zones[kind], traffic, accepted, rng=rng)
+            if found is None and number < low:
+                return None
+            if found is None:
+                break
+            accepted.append(found)
+    return _joined(accepted)
+
+
+def _draw_mover(
+    kind: str,
+    clearance: Clearance,
+    caster: Caster,
+    zones: Sequence[Floats],
+    traffic: Traffic,
+    accepted: Sequence[tuple[Body, Course]],
+    *,
+    rng: Generator,
+) -> tuple[Body, Course] | None:
+    """Draw bodies and courses until one is accepted; None after `TRIES`."""
+    for _ in range(TRIES):
+        body = BODIES[kind](rng)
+        tour = _Tour(body, clearance, caster, zones[int(rng.integers(len(zones)))], rng)
+        course = tour.course(traffic)
+        if course is None:
+            continue
+        alone = clearance.course_is_free(course.begin_s, course.pieces, PERIOD_S, body.balls, GAP_M)
+        if alone and all(_stay_apart((body, course), other) for other in accepted):
+            return body, course
+    return None
+
+
+@dataclass
+class _Tour:
+    """Draws the corners of a tour of one mover."""
+
+    body: Body
+    clearance: Clearance
+    caster: Caster
+    zone: Floats
+    rng: Generator
+
+    def course(self, traffic: Traffic) -> Course | None:
+        """Draw a course; None if no leg is free."""
+        kind = self.body.kind
+        speed = float(self.rng.uniform(*getattr(traffic, f"{kind}_mps")))
+        acceleration = getattr(traffic, f"{kind}_mps2")
+        behaviour = BEHAVIOURS[int(self.rng.integers(len(BEHAVIOURS)))]
+        points = behaviour(self)
+        if points is None:
+            return None
+        if behaviour is _Tour.loop:
+            return without_stop(points, speed, acceleration)
+        # who stops and goes waits; others turn at once
+        most_s = 4.0 if behaviour is _Tour.stops else 0.5
+        waits = self.rng.uniform(0.0, most_s, len(points)).tolist()
+        # a car needs more room to turn than a road has
+        backs_up, rate = kind == "vehicle", traffic.turn_rad_s
+        return from_stop_to_stop(points, speed, acceleration, rate, waits, backs_up=backs_up)
+
+    def line(self) -> Floats | None:
+        """Along a line and back."""
+        start = self._start()
+        end = self._leg_from(start)
+        return None if end is None else np.array([start, end])
+
+    def stops(self) -> Floats | None:
+        """Along a line and back, with stops on the way."""
+        ends = self.line()
+        if ends is None:
+            return None
+        shares = np.linspace(0.0, 1.0, int(self.rng.integers(3, 5)))[:, None]
+        there = ends[0] + shares * (ends[1] - ends[0])
+        return np.concatenate([there, there[-2:0:-1]])
+
+    def wander(self) -> Floats | None:
+        """Through random places, and back the same way."""
+        points = [self._start()]
+        for _ in range(int(self.rng.integers(2, LEGS // 2 + 1))):
+            if (next_point := self._leg_from(points[-1])) is None:
+                break
+            points.append(next_point)
+        return np.array(points + points[-2:0:-1]) if len(points) > 1 else None
+
+    def loop(self) -> Floats | None:
+        """Round a regular polygon."""
+        corners, radius = int(self.rng.integers(4, 9)), self.rng.uniform(2.0, 8.0)
+        x, y = self.rng.uniform(-1.0, 1.0, 2).tolist()
+        length = math.hypot(x, y) or 1.0
+        spoke, points = np.array([x, y]) / length * radius, list[Floats]()
+        cosine, sine = TURNS[corners]
+        middle = self._start()
+        for _ in range(corners):
+            points.append(middle + np.append(spoke, 0.0))
+            spoke = np.array(
+                [cosine * spoke[0] - sine * spoke[1], sine * spoke[0] + cosine * spoke[1]]
+            )
+        corners_of_loop = np.array(points)
+        inside = (corners_of_loop[:, :2] >= self.zone[0, :2]) & (
+            corners_of_loop[:, :2] <= self.zone[1, :2]
+        )
+        return self._on_ground(corners_of_loop) if inside.all() else None
+
+    def _start(self) -> Floats:
+        """A random place of the zone, if possible with room for the mover; of a mover on the
+        ground, above the ground there."""
+        places = self.rng.uniform(self.zone[0], self.zone[1], (STARTS, 3))
+        if self.body.kind != "drone":
+            places = self._above_ground(places)
+        for start in places:
+            if self.clearance.at(*_vector(start + self._middle)) > self._width:
+                break
+        return np.asarray(start)
+
+    @cached_property
+    def _middle(self) -> Floats:
+        """The middle of the body in its frame, (3,), metres."""
+        return np.array([0.0, 0.0, self.body.ball[0]])
+
+    @cached_property
+    def _width(self) -> float:
+        """Radius of a ball that fits where the body does, when it moves ahead, metres."""
+        balls = self.body.balls
+        return min(float((np.abs(balls[:, 1]) + balls[:, 3]).max()) + GAP_M, 0.99)
+
+    def _on_ground(self, points: Floats) -> Floats:
+        """Set places (n, 3) of a mover on the ground to one height, above the highest ground below
+        them; drones stay where they are."""
+        if self.body.kind == "drone":
+            return points
+        above = self._above_ground(points)
+        return np.column_stack([points[:, :2], np.full(len(points), above[:, 2].max())])
+
+    def _above_ground(self, points: Floats) -> Floats:
+        """Set each of some places (n, 3) to a height above the ground below it."""
+        down = np.broadcast_to((0.0, 0.0, -1.0), (len(points), 1, 3))
+        # from the zone's upper side: what is above it, such as a ceiling, is no ground
+        above = np.column_stack([points[:, :2], np.full(len(points), self.zone[1, 2])])
+        depth = self.caster.cast(above, down, REACH_M)[:, 0]
+        ground = np.where(np.isfinite(depth), above[:, 2] - depth, 0.0)
+        # balls that cover the lowest solids reach below them
+        sink = max(0.0, -float((self.body.balls[:, 2] - self.body.balls[:, 3]).min()))
+        return np.column_stack([points[:, :2], ground + (sink + 2 * GAP_M)])
+
+    def _leg_from(self, start: Floats) -> Floats | None:
+        """Draw the end of a free straight leg, or None."""
+        extent = np.minimum(self.zone[1] - self.zone[0], MOST_LEG_M)[:2]
+        longest = max(float(extent.max()), LEAST_LEG_M)
+        for _ in range(12):
+            x, y, long = self.rng.uniform((-1, -1, LEAST_LEG_M), (1, 1, longest)).tolist()
+            # narrow zones are long: legs run along them
+            direction = np.array([x, y]) * extent
+            length = math.sqrt(float(direction @ direction))
+            if length < 1e-6:
+                continue
+            end = start + np.append(direction * (long / length), 0.0)
+            inside = (end[:2] >= self.zone[0, :2]).all() and (end[:2] <= self.zone[1, :2]).all()
+            if inside and self.clearance.motion_is_free(
+                _vector(start + self._middle), _vector(end + self._middle), self._width
+            ):
+                return end
+        return None
+
+
+def _vector(point: Floats) -> Vector:
+    x, y, z = point.tolist()
+    return x, y, z
+
+
+BEHAVIOURS = (_Tour.line, _Tour.stops, _Tour.wander, _Tour.loop)
+TURNS = {
+    4: (0.0, 1.0),
+    5: (0.30901699437494745, 0.9510565162951535),
+    6: (0.5, 0.8660254037844386),
+    7: (0.6234898018587336, 0.7818314824680298),
+    8: (0.7071067811865476, 0.7071067811865475),
+}
+"""Cosine and sine of the angle between corners of regular polygons."""
+
+
+def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool:
+    """Whether balls around two movers stay `GAP_M` apart for a period."""
+    both = _joined([first, second])
+    heights = np.array([body.ball[0] for body, _ in (first, second)])
+    near = GAP_M + sum(body.ball[1] for body, _ in (first, second))
+    speeds = [
+        math.sqrt(max(float((_speeds(course) ** 2).sum(axis=-1).max()), 1e-12))
+        for _, course in (first, second)
+    ]
+    return bool(
+        _are_apart(
+            both.piece_start, both.begin_s, both.course, PERIOD_S, heights, near, sum(speeds)
+        )
+    )
+
+
+def _speeds(course: Course) -> Floats:
+    """Velocities (2, P, 3) at the begin and end of every piece; between, none is faster."""
+    lengths = np.diff(np.append(course.begin_s, PERIOD_S))[:, None]
+    linear, square = course.pieces[:, :3, 1], course.pieces[:, :3, 2]
+    return np.stack([linear, linear + 2.0 * lengths * square])
+
+
+@kernel
+def _are_apart(piece_start, begin_s, course, period, heights, near, speed):
+    """Walk in steps that the two cannot use up; a gap below a millimetre counts as none."""
+    time = 0.0
+    while time < period:
+        _, _, x, y, z = place(0, time, math.inf, piece_start, begin_s, course)
+        _, _, u, v, w = place(1, time, math.inf, piece_start, begin_s, course)
+        dx, dy, dz = u - x, v - y, w + heights[1] - z - heights[0]
+        gap = math.sqrt(dx * dx + dy * dy + dz * dz) - near
+        if gap < 1e-3:
+            return False
+        time += gap / speed
+    return True
+
+
+def _joined(movers: Sequence[tuple[Body, Course]]) -> Movers:
+    """Join bodies and courses."""
+    bodies, courses = [body for body, _ in movers], [course for _, course in movers]
+    owner = [m for m, body in enumerate(bodies) for _ in body.shape]
+    counts = [len(course.begin_s) for course in courses]
+    return Movers(
+        kind=np.array([1 + KINDS.index(body.kind) for body in bodies], np.int64),
+        owner=np.array(owner, np.int64),
+        shape=np.array([shape for body in bodies for shape in body.shape], np.int64),
+        size=np.concatenate([np.empty((0, 3)), *(body.size for body in bodies)]),
+        offset=np.concatenate([np.empty((0, 3)), *(body.offset for body in bodies)]),
+        piece_start=np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64),
+        begin_s=np.concatenate([np.empty(0), *(course.begin_s for course in courses)]),
+        course=np.concatenate(
+            [np.empty((0, CHANNELS, COEFFICIENTS)), *(course.pieces for course in courses)]
+        ),
+        period_s=PERIOD_S,
+    )
+
+
+def with_text(mjcf: bytes, movers: Movers) -> bytes:
+    """Write movers into a document, as the text `TEXT` of its custom elements.
+
+    Args:
+        mjcf: The document, UTF-8.
+        movers: The movers.
+
+    Returns:
+        The document, whose solids are the same.
+    """
+    entries = []
+    for m, kind in enumerate(movers.kind.tolist()):
+        own, (first, last) = movers.owner == m, movers.piece_start[m : m + 2].tolist()
+        solids = np.column_stack([movers.shape[own], movers.size[own], movers.offset[own]])
+        entries.append(
+            {
+                "kind": KINDS[kind - 1],
+                "solids": solids.tolist(),
+                "begin_s": movers.begin_s[first:last].tolist(),
+                "course": movers.course[first:last].reshape(last - first, -1).tolist(),
+            }
+        )
+    text = json.dumps({"period_s": movers.period_s, "movers": entries}, separators=(",", ":"))
+    element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
+    before, _, after = mjcf.rpartition(b"</mujoco>")
+    return before + element.encode() + after
+
+
+def read_text(text: str) -> Movers:
+    """Read movers from a document's text.
+
+    Args:
+        text: As `with_text` writes it.
+
+    Returns:
+        The movers.
+
+    Raises:
+        ValueError: If it is something else.
+    """
+    try:
+        table = json.loads(text)
+        entries, period_s = table["movers"], float(table["period_s"])
+        parts = [_read_entry(entry) for entry in entries]
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"<text name={TEXT!r}>: is no table of movers: {error!r:.80}") from None
+    movers = _joined(parts)
+    fault = _fault(movers)
+    if period_s != PERIOD_S or fault:
+        raise ValueError(f"<text name={TEXT!r}>: {fault or f'period_s is not {PERIOD_S:g}'}")
+    return movers
+
+
+def _read_entry(entry: Any) -> tuple[Body, Course]:
+    solids = np.array(entry["solids"], float).reshape(-1, 7)
+    begin_s = np.array(entry["begin_s"], float).reshape(-1)
+    pieces = np.array(entry["course"], float).reshape(len(begin_s), CHANNELS, COEFFICIENTS)
+    shapes = tuple(int(shape) for shape in solids[:, 0])
+    return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), Course(begin_s, pieces)
+
+
+def _fault(movers: Movers) -> str:
+    """What keeps kernels from using movers; "" for nothing."""
+    numbers = (movers.size, movers.offset, movers.begin_s, movers.course)
+    if len(movers) > MAX_MOVERS or not all(
+        (np.abs(values) <= MAX_LENGTH_M).all() for values in numbers
+    ):
+        return f"expected {MAX_MOVERS} movers at most, and finite numbers up to {MAX_LENGTH_M:g}"
+    solids = np.bincount(movers.owner, minlength=len(movers))
+    pieces = np.diff(movers.piece_start)
+    shapes = np.isin(movers.shape, SHAPES).all() and (movers.size >= 0).all()
+    if not shapes or (solids < 1).any() or (solids > MAX_SOLIDS).any() or (pieces < 1).any():
+        return f"expected 1 to {MAX_SOLIDS} boxes, capsules or ellipsoids and a course for each"
+    rising = np.diff(movers.begin_s) > 0
+    rising[movers.piece_start[1:-1] - 1] = True
+    if not rising.all() or (movers.begin_s[movers.piece_start[:-1]] != 0).any():
+        return "expected pieces that begin at 0 and rise"
+    return ""
