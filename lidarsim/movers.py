@@ -33,7 +33,7 @@ CHANNELS = 5
 
 @dataclass(frozen=True, eq=False)
 class Movers:
-    """M moving bodies of S solids in all, and their courses of P pieces in all.
+    """M moving bodies of S solids in all, and their courses without jumps of P pieces in all.
 
     A course holds for all times: it repeats after `period_s`, a power of two, or, where that is
     inf, its first and last piece hold before and after their own times."""
@@ -120,7 +120,7 @@ class Movers:
         return float(away.min(initial=math.inf))
 
     def window(self, begin_s: float, end_s: float) -> "Movers":
-        """Cut the courses to an interval of time. Within it, poses have the same bits.
+        """Cut the courses to an interval of time from 0 on. Within it, poses have the same bits.
 
         Args:
             begin_s: Its begin, seconds.

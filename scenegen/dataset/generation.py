@@ -322,8 +322,10 @@ def _counts(n: int, val: int | None, test: int | None, *, single_world: bool) ->
 def _with_parts(
     recipe: Recipe, parts: Mapping[str, Any], source: DrawnWorlds | SceneWorlds
 ) -> Recipe:
-    """Add the optional parts of samples that the user chose to a recipe."""
-    return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
+    """Add the optional parts of samples that the user chose to a recipe. Raises RecipeError if they
+    do not go with it, or with each other."""
+    with reraise_as(RecipeError):
+        return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
 
 
 def _folder(out: str | Place | None, name: str) -> Place:

@@ -35,9 +35,7 @@ def ray_times(traffic: Traffic | None, lidar: Any, time_s: float) -> Any:
     return time_s + lidar.times_s if traffic is not None and traffic.firing_times else time_s
 
 
-def mover_voxels(
-    movers: Movers, grid: GridSpec, origin: Floats, time_s: float
-) -> NDArray[np.int16]:
+def mover_voxels(movers: Movers, grid: GridSpec, origin: Floats, time_s: float) -> NDArray[np.int8]:
     """Which mover touches each voxel.
 
     Args:
@@ -49,7 +47,7 @@ def mover_voxels(
     Returns:
         (*grid.shape): the smallest number of a mover; -1 for none.
     """
-    voxels = np.full(grid.shape, -1, np.int16)
+    voxels = np.full(grid.shape, -1, np.int8)
     solids = movers.solids(time_s)
     near = (solids.lower <= origin + grid.extent_m) & (solids.upper >= origin)
     # most movers are far from a sample's map; the smallest number is written last
@@ -85,7 +83,7 @@ def mover_fields(
     )
     directions = rotate(fields["quaternion"], lidar.directions_body)
     solid = caster.solid_of(fields["position"][None], directions[None], lidar.max_range_m)[0]
-    hit = np.where(solid >= 0, movers.owner[solid], -1).astype(np.int16)
+    hit = np.where(solid >= 0, movers.owner[solid], -1).astype(np.int8)
     # the clean ray counts: noise changes ranges, and may lose a return
     hit[~np.isfinite(fields["ranges"])] = -1
     return {
@@ -98,7 +96,7 @@ def mover_fields(
 def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
     """Tables of movers and of their courses in an interval of time."""
     part = movers.window(begin_s, end_s)
-    kind = np.zeros(MAX_MOVERS, np.int16)
+    kind = np.zeros(MAX_MOVERS, np.int8)
     solids = np.full((MAX_MOVERS, MAX_SOLIDS, 7), NO_SHAPE)
     course = np.full((MAX_MOVERS, MAX_PIECES, 1 + CHANNELS * COEFFICIENTS), np.nan)
     kind[: len(part)] = part.kind
@@ -151,8 +149,8 @@ def stored_movers(sample: Any) -> Movers:
 class Motion:
     """What moves in a sample: its content at other times.
 
-    Times are seconds after the sample's own, negative for earlier ones, from `span_s[0]` to
-    `span_s[1]`."""
+    Times are seconds after the sample's own, negative for earlier ones: from its earliest scan to
+    `after_s` of the recipe's movers."""
 
     def __init__(self, sample: Any, *, grid: GridSpec):
         """Read the tables of a sample.
@@ -164,7 +162,7 @@ class Motion:
         self.movers, self._sample, self._grid = stored_movers(sample), sample, grid
         times = sample.scan_times
         self._now_s = float(times[0])
-        self.span_s = (float(times.min()) - self._now_s, float(sample.course_end) - self._now_s)
+        self._begin_s, self._end_s = float(times.min()), float(sample.course_end)
 
     def at(self, after_s: float) -> float:
         """Check a time, and return it as the movers' courses have it, seconds.
@@ -172,13 +170,14 @@ class Motion:
         Raises:
             DatasetError: if courses are not stored for it.
         """
-        low, high = self.span_s
-        if not low <= after_s <= high:
+        time_s = self._now_s + after_s
+        if not self._begin_s <= time_s <= self._end_s:
             raise DatasetError(
-                f"{after_s:g} s after the sample's time: courses are stored from {low:g} to "
-                f"{high:g} s; generate the dataset with another movers.after_s"
+                f"{after_s:g} s after the sample's time: courses are stored from "
+                f"{self._begin_s - self._now_s:g} to {self._end_s - self._now_s:g} s; generate the "
+                "dataset with another movers.after_s"
             )
-        return self._now_s + after_s
+        return time_s
 
     @cached_property
     def moving(self) -> Mask:

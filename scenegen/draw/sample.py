@@ -150,18 +150,18 @@ class Sample:
     static_occupancy: Mask | None = _stored(
         "bool", "grid", "truth: voxels that solids which stand still touch", group="movers"
     )
-    voxel_mover: NDArray[np.int16] | None = _stored(
-        "<i2",
+    voxel_mover: NDArray[np.int8] | None = _stored(
+        "<i1",
         "grid",
         "truth: the mover that touches the voxel, the one of the smallest number if several do; -1 "
         "for none",
         group="movers",
     )
-    return_mover: NDArray[np.int16] | None = _stored(
-        "<i2", "rays", "the mover that each ray met; -1 for none, or no return", group="movers"
+    return_mover: NDArray[np.int8] | None = _stored(
+        "<i1", "rays", "the mover that each ray met; -1 for none, or no return", group="movers"
     )
-    mover_kind: NDArray[np.int16] | None = _stored(
-        "<i2",
+    mover_kind: NDArray[np.int8] | None = _stored(
+        "<i1",
         f"{MAX_MOVERS}",
         "kind of each mover: 1 person, 2 vehicle, 3 drone; 0 for unused rows",
         group="movers",

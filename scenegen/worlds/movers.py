@@ -32,6 +32,8 @@ TRIES = 60
 """Courses that are tried for one mover before the world is given up."""
 STARTS = 8
 """Places of which the first with room is where a tour begins."""
+ENDS = 12
+"""Ends of a leg of which the first that can be reached is taken."""
 LEGS = 8
 """Most legs of a course."""
 LEAST_LEG_M, MOST_LEG_M = 1.5, 15.0
@@ -359,9 +361,9 @@ def _draw_mover(
     *,
     rng: Generator,
 ) -> tuple[Body, Course] | None:
-    """Draw bodies and courses until one is accepted; None after `TRIES`."""
+    """Draw a body, and courses until one is accepted; None after `TRIES`."""
+    body = BODIES[kind](rng)
     for _ in range(TRIES):
-        body = BODIES[kind](rng)
         tour = _Tour(body, clearance, caster, zones[int(rng.integers(len(zones)))], rng)
         course = tour.course(traffic)
         if course is None:
@@ -486,20 +488,18 @@ class _Tour:
 
     def _leg_from(self, start: Floats) -> Floats | None:
         """Draw the end of a free straight leg, or None."""
-        extent = np.minimum(self.zone[1] - self.zone[0], MOST_LEG_M)[:2]
+        low, high = self.zone[:, :2]
+        extent = np.minimum(high - low, MOST_LEG_M)
         longest = max(float(extent.max()), LEAST_LEG_M)
-        for _ in range(12):
-            x, y, long = self.rng.uniform((-1, -1, LEAST_LEG_M), (1, 1, longest)).tolist()
-            # narrow zones are long: legs run along them
-            direction = np.array([x, y]) * extent
-            length = math.sqrt(float(direction @ direction))
-            if length < 1e-6:
-                continue
-            end = start + np.append(direction * (long / length), 0.0)
-            inside = (end[:2] >= self.zone[0, :2]).all() and (end[:2] <= self.zone[1, :2]).all()
-            if inside and self.clearance.motion_is_free(
-                _vector(start + self._middle), _vector(end + self._middle), self._width
-            ):
+        drawn = self.rng.uniform((-1, -1, LEAST_LEG_M), (1, 1, longest), (ENDS, 3))
+        # narrow zones are long: legs run along them
+        ways = drawn[:, :2] * extent
+        lengths = np.sqrt((ways * ways).sum(axis=1))
+        ends = start[:2] + ways * (drawn[:, 2] / lengths)[:, None]
+        for x, y in ends[((ends >= low) & (ends <= high)).all(axis=1)].tolist():
+            end = np.array([x, y, start[2]])
+            middles = _vector(start + self._middle), _vector(end + self._middle)
+            if self.clearance.motion_is_free(*middles, self._width):
                 return end
         return None
 
@@ -621,10 +621,11 @@ def read_text(text: str) -> Movers:
     try:
         table = json.loads(text)
         entries, period_s = table["movers"], float(table["period_s"])
-        parts = [_read_entry(entry) for entry in entries]
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise ValueError(f"<text name={TEXT!r}>: is no table of movers: {error!r:.80}") from None
-    movers = _joined(parts)
+        movers = _joined([_read_entry(entry) for entry in entries])
+    except (KeyError, OverflowError, TypeError, ValueError, RecursionError):
+        raise ValueError(
+            f"<text name={TEXT!r}>: is no table of movers; generate the dataset anew"
+        ) from None
     fault = _fault(movers)
     if period_s != PERIOD_S or fault:
         raise ValueError(f"<text name={TEXT!r}>: {fault or f'period_s is not {PERIOD_S:g}'}")

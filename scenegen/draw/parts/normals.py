@@ -43,9 +43,14 @@ class NormalsPart:
         from lidarsim import AnalyticEngine
         from lidarsim.pose import rotate
 
+        # of numerical code alone: reading a dataset imports this file
+        from scenegen.draw.draw import caster_at
+
         lidar = recipe.lidar
+        times = fields.get("scan_times")
         directions = rotate(fields["quaternion"], lidar.directions_body)
-        engine: Any = world.caster(AnalyticEngine.of)
+        time_s = 0.0 if times is None else float(times[0])
+        engine: Any = caster_at(world, AnalyticEngine.of, recipe, time_s)
         origin = np.asarray(fields["position"])[None]
         hits = engine.hits(origin, directions[None], lidar.max_range_m)
         normals = np.nan_to_num(hits.normals[0]).astype("<f4")

@@ -17,6 +17,9 @@ STOREY_M = 3.2
 # the second side is the first one turned by half a turn
 SIDES = ((1, 0.0), (-1, np.pi))
 
+STRETCH_M = 12.0
+"""Least length of road for one moving vehicle, metres."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Street(Classed):
@@ -84,12 +87,14 @@ class Street(Classed):
     def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:
         """Keep vehicles to the middle of the road, between parked cars; see
         `WorldKind.mover_zones`."""
-        edges = np.linspace(bounds[0, 0], bounds[1, 0], 4).tolist()
+        begin, end, top = float(bounds[0, 0]), float(bounds[1, 0]), float(bounds[1, 2])
         middle = self.size_m[1] / 2
         # one vehicle a stretch has room; two in one lane would meet
+        count = max(int((end - begin) / STRETCH_M), 1)
+        gap = min(3.0, (end - begin) / 4)
         stretches = [
-            np.array([[low + 3, middle - 0.2, 0.0], [high - 3, middle + 0.2, bounds[1, 2]]])
-            for low, high in pairwise(edges)
+            np.array([[low + gap, middle - 0.2, 0.0], [high - gap, middle + 0.2, top]])
+            for low, high in pairwise(np.linspace(begin, end, count + 1).tolist())
         ]
         return super().mover_zones(bounds) | {"vehicle": stretches}
 

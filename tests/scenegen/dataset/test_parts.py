@@ -20,6 +20,7 @@ from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
 SETTINGS = {"labels": labels_by("class", ()), "normals": Normals()}
+"""Movers, which labels do not go with, have tests of their own."""
 
 
 def with_parts(*names, **tables):
@@ -30,7 +31,7 @@ def with_parts(*names, **tables):
 @pytest.fixture(scope="session")
 def whole(once):
     """A dataset with every part; not to be changed."""
-    recipe = with_parts(*PARTS)
+    recipe = with_parts(*SETTINGS)
     return once("parts", lambda folder: dataset_in(folder / "d", recipe)) / "d"
 
 
@@ -55,11 +56,11 @@ def test_a_dataset_with_parts_passes_every_check(whole):
     assert report.ok, report.failed
     counts = {check.name: check.counts for check in report.checks}
     assert counts["parts"]["samples"] == 3
-    assert counts["part-laws"]["samples"] == 3 * len(PARTS)
+    assert counts["part-laws"]["samples"] == 3 * len(SETTINGS)
 
 
 def test_with_noise_parts_are_of_what_the_clean_ray_met(tmp_path):
-    recipe = with_parts(*PARTS, noise={"stages": "spurious:0.1,dropout:0.2"})
+    recipe = with_parts(*SETTINGS, noise={"stages": "spurious:0.1,dropout:0.2"})
     dataset = dataset_in(tmp_path / "d", recipe)
     assert failed(dataset.folder) == {}
     sample = dataset.split("train")[0]

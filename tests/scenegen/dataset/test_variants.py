@@ -210,7 +210,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, sh
     unit, key = drawn_unit(recipe), UnitKey(0, "train", 0)
     pose = Pose.facing(unit.samples[0].position, heading)
     options = {"names": (0, 0), "engine": AnalyticEngine.of}
-    (sample,) = scan_again(unit.world, [[pose]], recipe, key, **options).samples
+    (sample,) = scan_again(unit.world, [[pose]], [np.zeros(1)], recipe, key, **options).samples
     wide = dataclasses.replace(recipe.grid, shape=tuple(n + 12 for n in recipe.grid.shape))
     whole = rasterize(unit.world.solids, wide, wide.origin_at(pose.position))
     begin = 6 + np.array(shift)

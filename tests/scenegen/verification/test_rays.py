@@ -29,7 +29,7 @@ def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with,
 
     def audited(ranges):
         seen = ranges, pose.position, pose.quaternion
-        return audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))
+        return audit(*seen, lambda rays: engine, lidar, solids=2, rng=np.random.default_rng(0))
 
     numbers, found, gap = audited(ranges)
     assert len(numbers) == 240

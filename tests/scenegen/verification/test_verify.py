@@ -127,7 +127,9 @@ def scan_beside(arrays, world, recipe, split, moved_m=(0.01, 0.0, 0.0)):
     places = zip(arrays["position"] + moved_m, arrays["quaternion"], strict=True)
     poses = [[Pose(position, quaternion)] for position, quaternion in places]
     key, engine = UnitKey(0, split, 0), MujocoEngine.of
-    again = scan_again(world, poses, recipe, key, names=(0, 0), engine=engine)
+    again = scan_again(
+        world, poses, [np.zeros(1)] * len(poses), recipe, key, names=(0, 0), engine=engine
+    )
     for name in GROUPS[""]:
         arrays[name][:] = [getattr(sample, name) for sample in again.samples]
 

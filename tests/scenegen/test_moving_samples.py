@@ -1,0 +1,184 @@
+"""Samples with movers: truth over time, what the checks find, and what does not change."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import scenegen
+from scenegen.draw.draw import truth_of
+from scenegen.worlds.traffic import PRESETS, Traffic
+from tests.command_line import done
+from tests.conftest import dataset_in, small_recipe
+from tests.refusals import refuses, refuses_command
+from tests.scenegen.conftest import drawn_unit
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
+
+CROWD = Traffic(people=(8, 10), drones=(4, 6), after_s=2.0)
+
+
+def moving_recipe(traffic=CROWD, **tables):
+    tables.setdefault("lidar", {"rows": 16, "columns": 60, "max_range_m": 12.0})
+    return dataclasses.replace(small_recipe(**tables), parts={"movers": traffic})
+
+
+def movers_seen(unit):
+    return [sample for sample in unit.samples if (sample.voxel_mover >= 0).any()]
+
+
+@pytest.fixture(scope="module")
+def units():
+    recipe = moving_recipe()
+    found = [drawn_unit(recipe, seed=seed) for seed in range(8)]
+    assert sum(len(movers_seen(unit)) for unit in found) >= 3
+    return recipe, found
+
+
+def test_worlds_and_flights_stay_without_movers():
+    plain = drawn_unit(small_recipe(), seed=2)
+    moving = drawn_unit(moving_recipe(small_recipe().parts.get("movers", CROWD)), seed=2)
+    assert_array_equal(plain.world.solids.position, moving.world.solids.position)
+    assert plain.world.mjcf[:200] == moving.world.mjcf[:200]
+
+
+def test_returns_lie_in_the_truth(units):
+    recipe, found = units
+    for sample in (sample for unit in found for sample in unit.samples):
+        assert not (sample.observed & ~sample.occupancy).any()
+        index = recipe.grid.index(sample.points(), sample.origin)
+        inside = ((index >= 0) & (index < recipe.grid.shape)).all(axis=1)
+        hit = sample.return_mover[np.isfinite(sample.ranges)]
+        moving = inside & (hit >= 0)
+        # the voxel of a return from a mover is one that a mover touches
+        assert (sample.voxel_mover[tuple(index[moving].T)] >= 0).all()
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.5, 1.0, 2.0])
+def test_occupancy_later_is_the_worlds(units, after_s):
+    recipe, found = units
+    for unit in found:
+        for sample in movers_seen(unit):
+            (scan,) = sample.scans()
+            later = truth_of(unit.world, scan, recipe, float(sample.scan_times[0]) + after_s)
+            assert_array_equal(sample.motion.occupancy(after_s), later["occupancy"])
+
+
+def test_distances_now_are_those_stored(units):
+    _, found = units
+    for sample in (sample for unit in found for sample in movers_seen(unit)):
+        assert_array_equal(sample.motion.tudf(0.0), sample.tudf)
+
+
+def test_flow_is_how_points_of_movers_go_on(units):
+    """By moving each voxel's centre with its mover for a thousandth of a second."""
+    recipe, found = units
+    step_s, compared = 1e-3, 0
+    for sample in (sample for unit in found for sample in movers_seen(unit)):
+        movers, now_s = sample.motion.movers, float(sample.scan_times[0])
+        flow = sample.motion.flow()
+        assert_array_equal(flow.any(axis=-1) & (sample.voxel_mover < 0), False)
+        for index in np.argwhere(sample.voxel_mover >= 0)[:20]:
+            m = int(sample.voxel_mover[tuple(index)])
+            centre = sample.origin + (index + 0.5) * recipe.grid.voxel_m
+            places = [moved(movers, m, centre, now_s, t) for t in (now_s, now_s + step_s)]
+            speed = (places[1] - places[0]) / step_s
+            assert_allclose(flow[tuple(index)], speed, atol=0.02)
+            compared += 1
+    assert compared > 20
+
+
+def moved(movers, m, point, begin_s, time_s):
+    """Where a point of a mover is at a time, in the world."""
+    frames = []
+    for t in (begin_s, time_s):
+        position, heading, _, _ = movers.poses(t)
+        x, y = heading[m]
+        frames.append((position[m], np.array([[x, -y, 0], [y, x, 0], [0, 0, 1]])))
+    (place, turn), (next_place, next_turn) = frames
+    return next_place + next_turn @ (turn.T @ (point - place))
+
+
+def test_times_beyond_the_table_are_refused(units):
+    _, found = units
+    refuses("later", found[0].samples[0].motion.occupancy, 2.5)
+
+
+def test_a_sample_without_movers_says_so():
+    refuses("none", lambda: drawn_unit(small_recipe(), seed=1).samples[0].motion)
+
+
+@pytest.fixture(scope="module")
+def made(once):
+    recipe = moving_recipe(mapping={"scans": 3})
+    return once("moving", lambda folder: dataset_in(folder / "d", recipe)) / "d"
+
+
+def test_a_dataset_with_movers_passes_every_check(made):
+    assert failed(made) == {}
+
+
+def test_with_firing_times_and_noise_it_passes_too(tmp_path):
+    traffic = dataclasses.replace(CROWD, firing_times=True)
+    recipe = moving_recipe(traffic, noise={"stages": "range:0.02"})
+    assert failed(dataset_in(tmp_path / "d", recipe).folder) == {}
+
+
+CHANGES = {
+    "return_mover": ("part-laws", lambda values: values.__setitem__(..., 23)),
+    "voxel_mover": ("part-laws", lambda values: values.__setitem__(..., 0)),
+    "static_occupancy": ("part-laws", lambda values: values.__setitem__(..., False)),
+    "scan_times": ("rays", lambda values: values.__iadd__(1.5)),
+    "mover_course": ("parts", lambda values: values.__imul__(1.01)),
+    "mover_solids": ("parts", lambda values: values.__imul__(1.01)),
+    "mover_kind": ("parts", lambda values: values.__setitem__(values > 0, 2)),
+    "course_end": ("parts", lambda values: values.__iadd__(1.0)),
+}
+"""The check that finds a change of each field, beside the digest."""
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_of_a_field_is_found(made, tmp_path, name):
+    check, change = CHANGES[name]
+    folder = forge.copy(made, tmp_path / "d")
+    forge.edit(folder, "train-00000.h5", lambda arrays: change(arrays[name]))
+    assert {check, "digest"} <= failed(folder).keys()
+
+
+def test_digests_do_not_depend_on_workers(tmp_path, small, capsys):
+    digests = []
+    for workers in (1, 2):
+        options = f"--n 6 --val 0 --test 0 --shard-samples 3 --workers {workers} --movers light"
+        done(capsys, f"generate --recipe {small} {options} --quiet -o {tmp_path}/{workers}")
+        digests.append(scenegen.load(tmp_path / f"{workers}").dataset.manifest.digest)
+    assert digests[0] == digests[1]
+
+
+def test_movers_of_a_dataset_are_scanned_again_to_the_bit(made, tmp_path, capsys):
+    done(capsys, f"generate --like {made} --quiet -o {tmp_path}/again")
+    first, second = (scenegen.load(folder)[0] for folder in (made, tmp_path / "again"))
+    assert first.sha256() == second.sha256()
+
+
+def test_labels_beside_movers_are_refused(tmp_path, capsys):
+    words = f"generate --kind pillar --n 1 --movers light --labels class -o {tmp_path}/d"
+    refuses_command(capsys, words)
+
+
+def test_worlds_from_files_have_no_movers(tmp_path, capsys):
+    words = f"generate --scene scenes/warehouse.xml --n 1 --movers light -o {tmp_path}/d"
+    refuses_command(capsys, words)
+
+
+def test_movers_that_find_no_room_are_named():
+    crowded = Traffic(people=(0, 0), vehicles=(0, 0), drones=(24, 24))
+    small_world = {"size_m": (6.0, 6.0, 3.0)}
+    recipe = moving_recipe(crowded, accept={"max_draws": 2}, world=small_world)
+    refuses("crowded", drawn_unit, recipe, seed=0)
+
+
+@pytest.mark.parametrize("kind", ["street", "rooms"])
+def test_presets_of_movers_give_samples(kind):
+    recipe = dataclasses.replace(small_recipe(kind), parts={"movers": PRESETS["light"]})
+    assert len(drawn_unit(recipe, seed=0).world.movers) >= 3
