@@ -71,7 +71,7 @@ class Movers:
             metres a second; rates of turn (M,), radians a second, counter-clockwise from above.
         """
         result = np.empty((len(self), 9))
-        _poses(float(time_s), self.period_s, self.piece_start, self.begin_s, self.course, result)
+        _poses(float(time_s), self._courses, result)
         return result[:, :3], result[:, 3:5], result[:, 5:8], result[:, 8]
 
     def solids(self, time_s: float) -> Solids:
@@ -172,14 +172,8 @@ class Movers:
                 starts,
                 rays,
                 times_s,
-                self.period_s,
-                self.piece_start,
-                self.begin_s,
-                self.course,
-                self.solid_start,
-                self.shape,
-                self.size,
-                self.offset,
+                self._courses,
+                (self.solid_start, self.shape, self.size, self.offset),
                 self._balls_while(float(times_s.min()), float(times_s.max())),
                 nearer,
                 solid,
@@ -204,14 +198,8 @@ class Movers:
             starts,
             rays,
             times_s,
-            self.period_s,
-            self.piece_start,
-            self.begin_s,
-            self.course,
-            self.owner,
-            self.shape,
-            self.size,
-            self.offset,
+            self._courses,
+            (self.owner, self.shape, self.size, self.offset),
             ranges,
             solid,
             points,
@@ -236,6 +224,11 @@ class Movers:
         # rounding must not leave out a solid that is touched
         balls[:, 3] = (balls[:, 3] * (1.0 + 1e-6)) ** 2
         return balls
+
+    @cached_property
+    def _courses(self) -> tuple[float, Ints, Floats, Floats]:
+        """The arguments of kernels that find poses."""
+        return float(self.period_s), self.piece_start, self.begin_s, self.course
 
     @cached_property
     def _radius(self) -> Floats:
@@ -437,18 +430,19 @@ def velocity(course, piece, u):
 
 
 @kernel
-def place(m, time, period, piece_start, begin_s, course):
+def place(m, time, courses):
     """Find the piece of mover `m` at a time, the seconds since that piece began, and the mover's
     place.
 
     Args:
         m: The mover's number.
         time: Seconds.
-        period, piece_start, begin_s, course: Of `Movers`.
+        courses: Period, starts of movers' pieces, begins of pieces, and pieces, as in `Movers`.
 
     Returns:
         The piece, seconds, and x, y, z, metres.
     """
+    period, piece_start, begin_s, course = courses
     if period < math.inf:
         # exact, as periods are powers of two
         time -= math.floor(time / period) * period
@@ -464,9 +458,10 @@ def place(m, time, period, piece_start, begin_s, course):
 
 
 @kernel
-def _poses(time, period, piece_start, begin_s, course, result):
+def _poses(time, courses, result):
+    course = courses[3]
     for m in range(len(result)):
-        piece, u, x, y, z = place(m, time, period, piece_start, begin_s, course)
+        piece, u, x, y, z = place(m, time, courses)
         hx, hy = _value(course, piece, 3, u), _value(course, piece, 4, u)
         dx, dy = _slope(course, piece, 3, u), _slope(course, piece, 4, u)
         square = hx * hx + hy * hy
@@ -483,18 +478,14 @@ def _nearest(
     starts,
     rays,
     times,
-    period,
-    piece_start,
-    begin_s,
-    course,
-    solid_start,
-    shape,
-    size,
-    offset,
+    courses,
+    bodies,
     balls,
     ranges,
     solids,
 ):
+    solid_start, shape, size, offset = bodies
+    course = courses[3]
     for p in range(len(starts)):
         reach = 0.0
         for n in range(ranges.shape[1]):
@@ -512,7 +503,7 @@ def _nearest(
                 if along * along < surplus or (outside and along > 0.0):
                     continue
                 time = times[n if len(times) > 1 else 0]
-                piece, u, x, y, z = place(m, time, period, piece_start, begin_s, course)
+                piece, u, x, y, z = place(m, time, courses)
                 _, _, _, hx, hy = pose(course, piece, u)
                 ux, uy, uz = starts[p, 0] - x, starts[p, 1] - y, starts[p, 2] - z
                 # to the mover's frame: the transpose of a turn about the vertical
@@ -530,19 +521,15 @@ def _surfaces(
     starts,
     rays,
     times,
-    period,
-    piece_start,
-    begin_s,
-    course,
-    owner,
-    shape,
-    size,
-    offset,
+    courses,
+    bodies,
     ranges,
     solids,
     points,
     normals,
 ):
+    owner, shape, size, offset = bodies
+    course = courses[3]
     for p in range(len(starts)):
         for n in range(ranges.shape[1]):
             s = solids[p, n]
@@ -551,7 +538,7 @@ def _surfaces(
             for axis in range(3):
                 points[p, n, axis] = starts[p, axis] + ranges[p, n] * rays[p, n, axis]
             time = times[n if len(times) > 1 else 0]
-            piece, u, x, y, z = place(owner[s], time, period, piece_start, begin_s, course)
+            piece, u, x, y, z = place(owner[s], time, courses)
             _, _, _, hx, hy = pose(course, piece, u)
             sx, sy, sz = points[p, n, 0] - x, points[p, n, 1] - y, points[p, n, 2] - z
             px, py = hx * sx + hy * sy - offset[s, 0], hx * sy - hy * sx - offset[s, 1]
