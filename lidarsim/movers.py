@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 COEFFICIENTS = 4
 """Of a polynomial in seconds since its piece began: constant, linear, quadratic, cubic."""
+ENDLESS_S = 1e5
+"""How long the last piece of a course without a period may be looked at, seconds."""
 CHANNELS = 5
 """Polynomials of a piece: x, y, z in metres, and the heading's x and y, of any length above 0."""
 
@@ -211,16 +213,7 @@ class Movers:
         """Centre and squared radius (M, 4), metres, of balls that hold all movers from one time to
         another."""
         balls = np.column_stack([self.poses((begin_s + end_s) / 2)[0], self._radius])
-        if end_s > begin_s:
-            part = self.window(begin_s, end_s)
-            lengths = np.diff(np.append(part.begin_s, np.inf)).clip(0.0, end_s - begin_s)
-            # places have no cubic term, so speeds are greatest at the end of a piece
-            slopes = part.course[:, :3, 1] + np.multiply.outer(
-                (0.0, 2.0), lengths[:, None] * part.course[:, :3, 2]
-            )
-            speeds = np.sqrt((slopes * slopes).sum(axis=2)).max(axis=0)
-            fastest = np.maximum.reduceat(speeds, part.piece_start[:-1])
-            balls[:, 3] += fastest * (end_s - begin_s) / 2
+        balls[:, 3] += self._fastest * (end_s - begin_s) / 2
         # rounding must not leave out a solid that is touched
         balls[:, 3] = (balls[:, 3] * (1.0 + 1e-6)) ** 2
         return balls
@@ -229,6 +222,20 @@ class Movers:
     def _courses(self) -> tuple[float, Ints, Floats, Floats]:
         """The arguments of kernels that find poses."""
         return float(self.period_s), self.piece_start, self.begin_s, self.course
+
+    @cached_property
+    def _fastest(self) -> Floats:
+        """Greatest speed (M,) of each mover's origin, metres a second."""
+        lengths = np.diff(np.append(self.begin_s, self.begin_s.max(initial=0.0)))
+        # the last piece of a mover lasts until the period ends, or without one for a long time
+        last = self.piece_start[1:] - 1
+        lengths[last] = min(self.period_s, ENDLESS_S) - self.begin_s[last]
+        # places have no cubic term, so speeds are greatest at an end of a piece
+        slopes = self.course[:, :3, 1] + np.multiply.outer(
+            (0.0, 2.0), lengths[:, None] * self.course[:, :3, 2]
+        )
+        speeds = np.sqrt((slopes * slopes).sum(axis=2)).max(axis=0)
+        return np.maximum.reduceat(speeds, self.piece_start[:-1])
 
     @cached_property
     def _radius(self) -> Floats:
