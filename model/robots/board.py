@@ -38,15 +38,7 @@ BOARD = {
 BEST = "score, less the best's"
 """The last column: the differences flight by flight."""
 WIDE = " body { max-width: none; } th { cursor: pointer; }"
-SORTED = """
-for (const head of document.querySelectorAll("th")) head.onclick = () => {
-  const rows = [...head.closest("table").tBodies[0].rows], n = head.cellIndex;
-  const value = (row) => row.cells[n].textContent;
-  rows.sort((a, b) =>
-    parseFloat(value(b)) - parseFloat(value(a)) || value(a).localeCompare(value(b)));
-  rows.forEach((row) => row.parentElement.append(row));
-};
-"""
+SORTED = Path(__file__).with_name("board.js").read_text(encoding="utf-8")
 
 
 class Row(NamedTuple):
