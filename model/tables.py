@@ -9,6 +9,7 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote
 
 STYLE = Path(__file__).with_name("tables.css").read_text(encoding="utf-8")
 MAX_OPEN = 24
@@ -153,6 +154,23 @@ def page(title: str, body: str, *, style: str = "", script: str = "") -> str:
 <title>{title}</title><style>{STYLE}{style}</style></head>\
 <body><h1>{title}</h1>{body}{script}</body></html>
 """
+
+
+def framed(title: str, name: str) -> str:
+    """Show another page in a frame, with a link to it.
+
+    Args:
+        title: Title above it.
+        name: The file, as seen from the page.
+
+    Returns:
+        HTML.
+    """
+    title, address = as_text(title), quote(name)
+    return (
+        f"<h2><a href='{address}'>{title}</a></h2>"
+        f"<iframe title='{title}' loading='lazy' src='{address}'></iframe>"
+    )
 
 
 def as_text(value: object) -> str:

@@ -33,7 +33,7 @@ from scenegen.model.bench.statistics import (
 )
 from scenegen.model.bench.visibility import CLASSES
 from scenegen.model.config import NEAR_M, UNITS
-from scenegen.model.tables import Dot, Table, as_text, chart, page
+from scenegen.model.tables import Dot, Table, as_text, chart, framed, page
 
 
 def summaries(
@@ -587,11 +587,7 @@ def to_html(
             f"<div class='charts'>{images}</div>",
         ]
     if samples:
-        body.append(
-            f"<h2>Samples</h2><p><a href='{samples}'>On a page of their own</a>: of each kind, the "
-            f"worst and the median map of the method whose IoU is highest.</p><iframe "
-            f"title='Samples' loading='lazy' src='{samples}'></iframe>"
-        )
+        body.append(framed("Worst and median maps of the method with the highest IoU", samples))
     about = "".join(
         f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
         for name, value in report.items()
