@@ -460,11 +460,11 @@ def story(report: Json, kind: str) -> str:
             pair = [method for _, method in order[:2]]
             figures = f"{begin.format(pair[0])}: {brief(rows[pair[0]][name])}"
             tested = f"unmarked_{name}" if table.endswith(UNMARKED) else name
-            # none where there is but one method
             for test in report["tests"][kind]:
                 if test["metric"] == tested and {test["first"], test["second"]} == {*pair}:
                     figures += _lead(test, pair, metrics[name].better)
-            sentences.append(f"{figures}.")
+            alone = ", and no other method was measured" * (len(pair) < 2)
+            sentences.append(f"{figures}{alone}.")
     return " ".join(sentences) or "Only references were measured."
 
 

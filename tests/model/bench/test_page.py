@@ -100,6 +100,17 @@ LEADS = [
 ]
 
 
+def test_a_story_needs_a_method(measured):
+    result = measured[0]
+    for names, expected in (
+        (["truth"], "Only references were measured."),
+        (["truth", "returns"], ", and no other method was measured."),
+    ):
+        methods = {name: result.methods[name] for name in names}
+        report = build_report([dataclasses.replace(result, methods=methods)], seed=0, about={})
+        assert story(report, "pillar").endswith(expected)
+
+
 @pytest.mark.parametrize(("ends", "expected"), LEADS)
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_lead_may_not_be_shown(measured, ends, expected, turned):
