@@ -137,7 +137,7 @@ def chromium() -> Iterator[Any]:
 
 def draw_report() -> None:
     """Take the picture of the begin of the bench's page."""
-    words = "bench data/pillar --quick --weights proposed --weights columns --quiet".split()
+    words = ["bench", "data/pillar", "--quick", "--quiet", *NETWORKS.split()]
     with tempfile.TemporaryDirectory() as folder, chromium() as tab:
         subprocess.run(["scenegen", *words, "-o", folder], check=True)
         tab.set_viewport_size({"width": 1280, "height": 980})
