@@ -6,6 +6,7 @@ docs/sensor.md.
     python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
     python docs/gallery.py page     # those of the page in a browser: `pip install playwright`, and
                                     # Debian's chromium
+    python docs/gallery.py report   # that of the bench's page, by both, too
 
 `data/geometric` and `data/pillar` are those of `scenegen generate --kind …`.
 """
@@ -15,6 +16,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -120,14 +123,31 @@ def small(picture: Any, wide: int, name: str) -> None:
     drawn[0].save(DOCS / "pictures" / "look" / name, **how)
 
 
-def draw_page() -> None:
-    """Take the pictures of what `scenegen view` serves, by Chromium with its software renderer."""
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A tab of Chromium with its software renderer."""
     from playwright.sync_api import sync_playwright
 
     flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
-        tab = browser.new_page()
+        yield browser.new_page()
+        browser.close()
+
+
+def draw_report() -> None:
+    """Take the picture of the begin of the bench's page."""
+    words = ["bench", "data/pillar", "--quick", "--quiet", *NETWORKS.split()]
+    with tempfile.TemporaryDirectory() as folder, chromium() as tab:
+        subprocess.run(["scenegen", *words, "-o", folder], check=True)
+        tab.set_viewport_size({"width": 1280, "height": 980})
+        tab.goto(Path(folder, "report.html").as_uri())
+        small(Image.open(io.BytesIO(tab.screenshot())), 900, "report.webp")
+
+
+def draw_page() -> None:
+    """Take the pictures of what `scenegen view` serves."""
+    with chromium() as tab:
         for name, (height, data, networks, place) in TABS.items():
             tab.set_viewport_size({"width": 1160, "height": height})
             words = ["scenegen", "view", data, "--port", "0", *networks.split()]
@@ -140,7 +160,6 @@ def draw_page() -> None:
             server.terminate()
             server.wait()
             tab.goto("about:blank")
-        browser.close()
 
 
 def draw_sensors() -> None:
@@ -199,5 +218,5 @@ def noise(world: Any) -> Figure:
 
 
 if __name__ == "__main__":
-    parts = {"sensors": draw_sensors, "look": draw_looks, "page": draw_page}
+    parts = {"sensors": draw_sensors, "look": draw_looks, "page": draw_page, "report": draw_report}
     parts.get(" ".join(sys.argv[1:]), main)()

@@ -360,7 +360,7 @@ def rank(entries: Path, out: Path, quiet: bool) -> None:
     """
     from scenegen.model.robots.board import leaderboard
 
-    write_result(out, leaderboard(entries).encode())
+    write_result(out, leaderboard(entries, out).encode())
     if not quiet:
         echo(f"written: {out}")
 

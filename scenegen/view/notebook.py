@@ -60,9 +60,9 @@ def picture(figure: Any) -> str:
     """Return a figure as an HTML element."""
     from scenegen.view.panels import to_bytes
 
-    content = base64.b64encode(to_bytes(figure, ".webp")).decode()
+    content = base64.b64encode(to_bytes(figure, ".png")).decode()
     style = "max-width: 100%; max-height: 100%"
-    return f'<img src="data:image/webp;base64,{content}" style="{style}">'
+    return f'<img src="data:image/png;base64,{content}" style="{style}">'
 
 
 def _draw(look: Look) -> Any:

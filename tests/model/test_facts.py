@@ -93,7 +93,7 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     assert sample["name"] == look.name == "done"
     picture = scenegen.show(str(here / "run"), out=here / "picture.html")
     assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
-    assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
+    assert '<img src="data:image/png;base64,' in (here / "picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
 
 
