@@ -29,7 +29,7 @@ GAP_M = 0.05
 """How far movers stay from solids and each other, at least, metres."""
 TRIES = 60
 """Courses that are tried for one mover before the world is given up."""
-STARTS = 8
+STARTS = 4
 """Places of which the first with room is where a tour begins."""
 ENDS = 12
 """Ends of a leg of which the first that can be reached is taken."""
