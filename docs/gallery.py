@@ -31,8 +31,7 @@ from lidarsim.sensors.device import angles_deg
 from scenegen.draw.draw import scan_world
 from scenegen.draw.source import read_world
 from scenegen.view.canvas import DISTANCES, colour
-from scenegen.view.panels import to_bytes
-from scenegen.view.pictures import draw_patterns
+from scenegen.view.stills import draw_patterns, to_bytes
 from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent

@@ -146,7 +146,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     Raises:
         ImportError: matplotlib is not installed.
     """
-    from scenegen.view.figures import draw_paths
+    from scenegen.view.stills import draw
 
     learned = [method for method in methods if method.learned]
     name, trials = failing(result)
@@ -157,7 +157,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
         of_trial = partial(guesses, learned, result.config, turn)
         look = look_into(result.dataset.split(result.config.split), index, of_trial)
         caption = f"{name} fails: {look.name}, goal {turn}"
-        figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
+        figure = draw([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], "paths")
         pictures.append((caption, _webp(figure)))
     return pictures
 
@@ -181,7 +181,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
     """
     from matplotlib.figure import Figure
 
-    from scenegen.view.panels import MAP, SOFT, plain
+    from scenegen.base.errors import printable
+    from scenegen.view.stills import BLUE, SOFT
 
     charts = []
     for table, metrics, rows, reference in tables(report, kind):
@@ -198,8 +199,10 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
             for method, metric in dots.items():
                 ends = None if metric["low"] is None else [metric["low"], metric["high"]]
                 # one world has no interval: a line of no length
-                axes.plot(ends or [metric["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
-                axes.plot(metric["mean"], plain(method)[:24], "o", color=MAP)
+                axes.plot(
+                    ends or [metric["mean"]] * 2, [printable(method)[:24]] * 2, "-", color=BLUE
+                )
+                axes.plot(metric["mean"], printable(method)[:24], "o", color=BLUE)
             axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
             # in the order of the table, from top to bottom
             axes.invert_yaxis()
@@ -211,7 +214,7 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
 
 def _webp(figure: Any) -> bytes:
     """A figure of matplotlib as a picture of the report."""
-    from scenegen.view.panels import to_bytes
+    from scenegen.view.stills import to_bytes
 
     figure.set_dpi(WIDE / figure.get_figwidth())
     return to_bytes(figure, ".webp")

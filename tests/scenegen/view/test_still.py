@@ -8,14 +8,14 @@ import pytest
 from matplotlib.image import imread
 from matplotlib.path import Path as Outline
 from PIL import Image
+from scenegen.view.figures import FIGURES
+from scenegen.view.panels import to_bytes
+from scenegen.view.pictures import draw_sample, draw_turn
 
 from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.view.canvas import SENSOR, View, visible_faces
-from scenegen.view.figures import FIGURES
 from scenegen.view.look import Guess, Route
-from scenegen.view.panels import to_bytes
-from scenegen.view.pictures import draw_sample, draw_turn
 from tests.command_line import ROOT, done, refused
 from tests.refusals import refuses
 from tests.scenegen import cases
