@@ -1,11 +1,10 @@
 """A small renderer: voxels as blocks, and boxes, in a parallel projection from above and aside."""
 
-import itertools
 import math
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 
 from lidarsim.grid import Floats, Ints, Mask
 
@@ -21,7 +20,7 @@ SHADES = np.array([0.74, 0.86, 1.0])
 """Brightness of faces across x, y and z."""
 EDGE_SHADE = 0.72
 """Brightness of edges, as a share of that of their face."""
-MAX_VECTORS = 40_000
+MAX_VECTORS = 15_000
 """Maximum faces or points that a vector file has as shapes; more become pixels."""
 
 
@@ -101,35 +100,21 @@ def draw_blocks(
     )
 
 
-def box_edges(low: Any, high: Any) -> tuple[Floats, Floats]:
-    """Return the edges of a box.
-
-    Args:
-        low: Lower corner (3,).
-        high: Upper corner (3,).
-
-    Returns:
-        Ends of the edges behind the box (3, 2, 3), and of those in front (9, 2, 3).
-    """
-    pairs = itertools.combinations(np.indices((2, 2, 2)).reshape(3, -1).T, 2)
-    edges = np.array([pair for pair in pairs if np.ptp(pair, axis=0).sum() == 1])
-    # the hidden ones are those that meet at the corner farthest from the eye
-    hidden = (edges == (EYE < 0)).all(axis=2).any(axis=1)
-    ends = np.where(edges, high, low)
-    return ends[hidden], ends[~hidden]
-
-
-def draw_box(axes: Any, low: Any, high: Any, colour: Any, width: float) -> None:
+def draw_box(axes: Any, low: Floats, high: Floats, place: Any, colour: Any, width: float) -> None:
     """Draw the edges of a box: those behind it thin and behind all else, the others in front.
 
     Args:
         axes: Axes of matplotlib, metres on the paper.
         low: Lower corner (3,), metres.
         high: Upper corner (3,), metres.
+        place: Function that maps points (…, 3) onto the paper (…, 2).
         colour: Colour of the edges.
         width: Width of the edges in front, points.
     """
-    for edges, share, order in zip(box_edges(low, high), (0.5, 1), (1, 5), strict=True):
-        axes.add_collection(
-            LineCollection(project(edges), colors=[colour], linewidths=share * width, zorder=order)
-        )
+    far = EYE < 0
+    hidden = np.stack([np.stack([far, far ^ axis]) for axis in np.eye(3, dtype=bool)])
+    front, _, _ = visible_faces(np.ones((1, 1, 1), bool))
+    for corners, share, order in ((hidden, 0.5, 1), (front, 1, 5)):
+        outline = place(low + corners * (high - low))
+        style = {"facecolors": "none", "edgecolors": [colour], "linewidths": share * width}
+        axes.add_collection(PolyCollection(outline, zorder=order, **style))

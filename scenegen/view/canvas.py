@@ -56,7 +56,7 @@ START, GOAL = (0, 158, 115), (255, 205, 0)
 """Ends of a path."""
 PATHS = dict(zip(("tudf", "occ", "proposed"), scale("1f86e0 f08c00 4f1a96"), strict=True))
 """Colours of paths by the names of the paper's networks."""
-OTHER_PATHS = scale("6e5028 0096aa b0c800 787878")
+OTHER_PATHS = scale("0096aa 6e5028 b0c800 787878")
 """Colours of other methods' paths, in turn; none of them has another meaning in a legend."""
 ON_PAGE = {
     "heights": HEIGHTS,

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,10 @@ PANEL, ALONE, MIN_PANEL, WIDE = 3.0, 7.0, 1.1, 2.0
 one whose axes have metres, inches."""
 SHEET, MAX_ACROSS = 4, 64
 """Maximum panels side by side: of one column, and of all on the screen."""
-DASHES: tuple[Any, ...] = ((0, (6, 1.5)), (0, (2, 1.2)), "-", (0, (8, 1.5, 1.5, 1.5)))
-"""Dashes of paths, in turn, for readers who cannot tell the colours apart."""
+DASHES: tuple[Any, ...] = ("-", (0, (2, 1.2)), (0, (6, 1.5)), (0, (8, 1.5, 1.5, 1.5)))
+"""Dashes of paths, from the last on, for readers who cannot tell the colours apart."""
+OUTLINE = [0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 5, 1, 3, 7, 6, 2]
+"""Corners of a box in the order of a line along all its edges."""
 BALL: dict[str, Any] = {"s": 36, "ec": "white", "lw": 0.7, "zorder": 9}
 """Style of balls and other marks in front of all else."""
 SENSOR = BALL | {"label": "sensor", "color": rgb(canvas.SENSOR)}
@@ -75,7 +78,7 @@ class Panel:
     """Upper corner (3,), metres in the world."""
     mask: Mask | None = None
     """Voxels (X, Y, Z) that fill the box, drawn as blocks."""
-    colours: Floats | None = None
+    colours: Any = None
     """Their colours, see `draw_blocks`."""
     veil: Mask | None = None
     """Unknown voxels."""
@@ -85,44 +88,37 @@ class Panel:
     """Balls and points."""
     lines: Sequence[Part] = ()
     """Paths."""
-    inner: tuple[Floats, Floats] | None = None
-    """Corners of a further box."""
     bar: tuple[str, Anchors, float, float] | None = None
     """Label of a colour bar, its scale, and the values of its ends."""
     caption: str = ""
     """Text below it."""
 
-    def place(self, points: Floats) -> Floats:
-        """Place points (n, 3) on the paper (n, 2), metres."""
-        return project(points) if self.image is None else points[:, :2]
+    def place(self, points: Any) -> Floats:
+        """Place points (…, 3) on the paper (…, 2), metres."""
+        return project(points) if self.image is None else np.asarray(points)[..., :2]
 
     def limits(self) -> Floats:
         """Return left and right, lower and upper end (2, 2) on the paper, metres."""
-        boxes = [(self.low, self.high), *filter(None, [self.inner])]
-        edges = [np.concatenate(blocks.box_edges(*corners)).reshape(-1, 3) for corners in boxes]
-        paper = self.place(np.concatenate(edges))
-        room = 0.05 * np.ptp(paper, axis=0).max() if self.image is None else 0
+        corners = list(itertools.product(*zip(self.low, self.high, strict=True)))
+        paper = self.place(np.concatenate([corners, *(points for points, _ in self.lines)]))
+        room = 0.06 * np.ptp(paper, axis=0).max()
         return np.stack([paper.min(axis=0) - room, paper.max(axis=0) + room], axis=1)
 
     def draw(self, axes: Any, width: float) -> None:
         """Draw it on axes of matplotlib that are so many inches wide."""
-        limits = self.limits()
+        limits, (low, high) = self.limits(), (self.low, self.high)
         thin = float(np.clip(width / PANEL, 0.5, 1))
-        axes.set(xlim=limits[0], ylim=limits[1], xlabel=printable(self.caption))
-        axes.set_frame_on(self.image is not None)
+        axes.set(xlim=limits[0], ylim=limits[1], xlabel=printable(self.caption), frame_on=False)
+        blocks.draw_box(axes, low, high, self.place, INK, thin)
         if self.image is not None:
-            axes.fill_between(limits[0], *limits[1], **HATCH)
-            image, extent = self.image.swapaxes(0, 1), limits.ravel()
+            (left, down), (right, up) = self.place([low, high])
+            axes.fill_between((left, right), down, up, **HATCH)
+            image, extent = self.image.swapaxes(0, 1), (left, right, down, up)
             axes.imshow(image, origin="lower", extent=extent, aspect="auto", zorder=2)
-        else:
-            blocks.draw_box(axes, self.low, self.high, INK, thin)
         if self.mask is not None:
-            voxel = 72 * width * (self.high - self.low)[0] / np.ptp(limits[0]) / len(self.mask)
-            blocks.draw_blocks(
-                axes, self.low, self.high, self.mask, self.colours, self.veil, min(voxel / 12, 0.5)
-            )
-        if self.inner is not None:
-            blocks.draw_box(axes, *self.inner, BLUE, 2 * thin)
+            voxel = 72 * width * (high - low)[0] / np.ptp(limits[0]) / len(self.mask)
+            edge = min(voxel / 12, 0.5)
+            blocks.draw_blocks(axes, low, high, self.mask, self.colours, self.veil, edge)
         for points, style in self.lines:
             axes.plot(*self.place(points).T, **style | {"lw": thin * style["lw"], "zorder": 8})
         for points, style in self.dots:
@@ -131,25 +127,17 @@ class Panel:
             self._name_axes(axes)
 
     def _name_axes(self, axes: Any) -> None:
-        """Write ends of the axes, metres: as ticks, or along edges of the box."""
-        if self.image is not None:
-            for axis, name in ((axes.xaxis, "x / m"), (axes.yaxis, "y / m")):
-                axis.set_major_locator(MaxNLocator(4))
-                axis.set_label_text(f"{name}\n{axis.get_label_text()}".rstrip())
-            return
-        starts = self.low, np.where([True, False, False], self.high, self.low), self.low
-        for n, (start, offset) in enumerate(zip(starts, ((-4, -6), (4, -6), (-6, 0)), strict=True)):
-            end = np.where(np.arange(3) == n, self.high, start)
-            first, last = project([start, end])
-            axes.annotate(
-                f"{'xyz'[n]}: {start[n]:.1f} … {end[n]:.1f} m",
-                (first + last) / 2,
-                offset,
-                textcoords="offset points",
-                rotation=math.degrees(math.atan2(*(last - first)[::-1])),
-                ha="center",
-                va="center",
-            )
+        """Write the ends of x, y and z along edges of the box, metres."""
+        low, high = (np.round(corner, 1) + 0.0 for corner in (self.low, self.high))  # not -0.0
+        starts = low, np.where([True, False, False], high, low), low
+        for n, (start, offset) in enumerate(zip(starts, ((-4, -6), (6, -4), (-6, 0)), strict=True)):
+            end = np.where(np.arange(3) == n, high, start)
+            first, last = self.place([start, end])
+            if (first != last).any():
+                rotation = math.degrees(math.atan2(*(last - first)[::-1]))
+                text, middle = f"{'xyz'[n]}: {start[n]:.1f} … {end[n]:.1f} m", (first + last) / 2
+                turned = {"rotation": rotation, "ha": "center", "va": "center"}
+                axes.annotate(text, middle, offset, textcoords="offset points", **turned)
 
 
 def style(paper: Paper) -> dict[str, Any]:
@@ -166,10 +154,9 @@ def style(paper: Paper) -> dict[str, Any]:
 
 
 def compose(
-    cells: Sequence[Sequence[Panel | None]],
-    *,
-    columns: Sequence[str] = (),
+    cells: Sequence[Mapping[str, Panel | None]],
     rows: Sequence[str] = (),
+    *,
     title: str = "",
     paper: Paper = SCREEN,
 ) -> Figure:
@@ -179,8 +166,7 @@ def compose(
     narrow, rows and columns change places.
 
     Args:
-        cells: Panels of each row; None for an empty place.
-        columns: Names above columns.
+        cells: Panels of each row by the names of their columns; None for an empty place.
         rows: Names beside rows.
         title: Title, which print does not have.
         paper: Size of the picture.
@@ -189,40 +175,37 @@ def compose(
         DatasetError: The columns are too narrow either way, or there is no panel.
     """
     fit = max(1, int(paper.width / MIN_PANEL)) if paper.width else MAX_ACROSS
-    full = [any(column) for column in zip(*cells, strict=True)]
-    cells = [list(itertools.compress(row, full)) for row in cells]
-    columns = list(itertools.compress(columns, full))
-    if len(cells[0]) == 1:
-        single = [part for row in cells for part in row]
-        beside = min(fit, SHEET, len(single))
-        single += [None] * (-len(single) % beside)
-        cells = [single[n : n + beside] for n in range(0, len(single), beside)]
-    elif len(cells[0]) > fit:
-        cells, columns, rows = list(zip(*cells, strict=True)), rows, columns
-    if not 0 < (count := len(cells[0])) <= fit:
+    columns = [name for name in cells[0] if any(row[name] for row in cells)]
+    table = [[row[name] for name in columns] for row in cells]
+    if len(columns) == 1:
+        count = min(fit, SHEET, len(cells))
+        single = [panel for (panel,) in table] + [None] * (-len(cells) % count)
+        table = [single[n : n + count] for n in range(0, len(single), count)]
+    elif len(columns) > fit:
+        table = [list(column) for column in zip(*table, strict=True)]
+        columns, rows = list(rows), columns
+    if not 0 < (count := len(table[0])) <= fit:
         raise DatasetError(
             f"{count} panels side by side are too narrow to be read; give a wider --paper, or draw "
             "fewer samples or methods"
         )
-    parts = [(n, m, part) for n, row in enumerate(cells) for m, part in enumerate(row) if part]
-    sizes = [np.ptp(part.limits(), axis=1) for *_, part in parts]
-    bars = {part.bar[0]: part.bar for *_, part in parts if part.bar}
-    labels = {style.get("label", "") for *_, p in parts for _, style in [*p.dots, *p.lines]}
+    places = [(n, m, panel) for n, row in enumerate(table) for m, panel in enumerate(row) if panel]
+    panels = [panel for *_, panel in places]
+    bars = {panel.bar[0]: panel.bar for panel in panels if panel.bar}
+    styles = [style for panel in panels for _, style in [*panel.dots, *panel.lines]]
+    labels = {style["label"] for style in styles if "label" in style}
+    title = "" if paper.width else title
 
     # lengths in inches, from the upper left corner
     em, wide = paper.points / 72, paper.width or count * max(PANEL, ALONE / count)
-    has_ticks = wide / count >= WIDE and any(part.image is not None for *_, part in parts)
-    title = "" if paper.width else title
-    left, top = 2 * em * bool(rows), em * (0.6 + 2 * bool(title) + 2 * bool(columns))
-    beside, below = (4.2 * em, 4.2 * em) if has_ticks else (0.8 * em, 2.2 * em)
-    width = (wide - left - 0.4 * em) / count - beside
-    heights = np.zeros(len(cells))
-    for (n, *_), (right, up) in zip(parts, sizes, strict=True):
-        heights[n] = max(heights[n], width * up / right)
-    lefts = left + beside + (width + beside) * np.arange(count)
-    tops = top + np.cumsum([0, *(heights + below)])
+    left, top = 2 * em * bool(rows), 2 * em * (bool(title) + any(columns))
+    width = (wide - left) / count
+    ratios = [np.divide(*np.ptp(panel.limits(), axis=1)[::-1]) for panel in panels]
+    heights = np.zeros(len(table))
+    np.maximum.at(heights, [n for n, *_ in places], np.multiply(width, ratios))
+    tops = top + np.cumsum([0, *(heights + 1.8 * em)])
     ncols = max(1, int(wide / (em * (0.55 * max(map(len, labels), default=0) + 4))))
-    high = tops[-1] + em * (4.2 * bool(bars) + 1.7 * -(-len(labels) // ncols))
+    high = tops[-1] + em * (4.5 * bool(bars) + 1.6 * -(-len(labels) // ncols) + 0.4)
     with rc_context(style(paper)):
         figure = Figure(figsize=(wide, high))
 
@@ -236,19 +219,18 @@ def compose(
             text = printable(text)[: max(3, int(room / (0.58 * em)))]
             figure.text(x / wide, 1 - y / high, text, ha="center", va="center", **values)
 
-        for (n, m, part), (right, up) in zip(parts, sizes, strict=True):
-            tall = width * up / right
-            axes = add_axes(lefts[m], tops[n] + (heights[n] - tall) / 2, width, tall)
-            part.draw(axes, width)
-        write(wide / 2, 1.4 * em, title, wide / 1.2, fontsize=1.2 * paper.points)
-        for x, text in zip(lefts, columns, strict=False):
-            write(x + width / 2, top - 0.9 * em, text, width)
-        for y, height, text in zip(tops, heights, rows, strict=False):
-            write(0.9 * em, y + height / 2, text, height, rotation=90)
+        for (n, m, panel), ratio in zip(places, ratios, strict=True):
+            y = tops[n] + (heights[n] - width * ratio) / 2
+            panel.draw(add_axes(left + m * width, y, width, width * ratio), width)
+        write(wide / 2, 1.2 * em, title, wide / 1.2, fontsize=1.2 * paper.points)
+        for m, text in enumerate(columns):
+            write(left + (m + 0.5) * width, top - 0.6 * em, text, width)
+        for n, text in enumerate(rows):
+            write(em, tops[n] + heights[n] / 2, text, heights[n], rotation=90)
         room = wide / max(len(bars), 1)
+        length = min(2.4, 0.75 * room)
         for n, (label, anchors, *ends) in enumerate(bars.values()):
-            length = min(2.4, 0.75 * room)
-            axes = add_axes((n + 0.5) * room - length / 2, tops[-1], length, 0.6 * em)
+            axes = add_axes((n + 0.5) * room - length / 2, tops[-1] + 0.3 * em, length, 0.6 * em)
             shades = ListedColormap(colour(np.linspace(0, 1, 256), anchors))
             values, ticks = ScalarMappable(Normalize(*ends), shades), MaxNLocator(4)
             figure.colorbar(values, axes, orientation="horizontal", label=label, ticks=ticks)
@@ -307,8 +289,6 @@ def _map(
             wrong = other & ~right & scored
             colours[wrong, :3] = canvas.error_colours(deep, right, np.argwhere(wrong))
         mask, dots = mask | (truth & scored), [*dots, *ERRORS]
-    if values.get("inner") is not None:
-        dots = [*dots, _patch("the map's box", fc="none", ec=BLUE)]
     if look.known is not None:
         mask, veil, dots = mask & look.known, ~look.known, [*dots, UNKNOWN]
         colours[veil] = VEIL
@@ -326,10 +306,15 @@ def _sensor(look: Look) -> list[Part]:
     return [(look.position[None], SENSOR)] * look.has_sensor
 
 
+def _observed(look: Look) -> Panel | None:
+    # what the truth does not know is known to the scan all the same
+    return _map(replace(look, known=None), look.masks.get("observed"))
+
+
 def _scan(look: Look) -> Panel | None:
     """Make a panel of a sample's returns; if there are none, of its observed voxels."""
     if (points := look.points) is None or not len(points):
-        return _map(look, look.masks.get("observed"))
+        return _observed(look)
     low, high = look.corners
     points = points[np.argsort(points @ blocks.EYE)]  # near ones hide far ones
     shades = colour((points[:, 2] - low[2]) / (high - low)[2], HEIGHTS)
@@ -383,16 +368,18 @@ def _distances(
 def _paths(
     look: Look,
     mask: Mask | None,
-    guesses: Iterable[Guess | None],
+    guesses: Iterable[Guess],
     names: Sequence[str],
     *,
     hits: bool = True,
-    **values: Any,
+    lines: Sequence[Part] = (),
+    caption: str = "",
 ) -> Panel | None:
-    """Make a panel of voxels with paths. `names` are all methods of the picture."""
+    """Make a panel of voxels with paths, and where these collide if `hits`. `names` are all methods
+    of the picture; `lines` are further ones."""
     inks = dict(zip(names, canvas.path_colours(names), strict=True))
-    lines, dots = list[Part](), list[Part]()
-    for guess in filter(None, guesses):
+    further, lines, dots = len(lines), list(lines), list[Part]()
+    for guess in guesses:
         if (route := guess.route) is None:
             continue
         for label, place, ink, marker, size in (
@@ -401,48 +388,55 @@ def _paths(
             ("meets an obstacle", route.hit if hits else None, "black", "X", 36),
         ):
             if place is not None:
-                style = {"label": label, "color": ink, "marker": marker, "s": size}
+                style: dict[str, Any] = {"label": label, "color": ink, "marker": marker, "s": size}
                 dots.append((place[None], BALL | style))
         if route.points is not None:
             # earlier paths are wider, so that all of several coinciding paths can be seen
-            n = names.index(guess.name)
-            width, dashes = 2 + 1.2 * (len(names) - 1 - n), DASHES[n % len(DASHES)]
-            style = {"color": rgb(inks[guess.name]), "ls": dashes, "lw": width, "label": guess.name}
-            halo = [] if lines else [(route.points, {"color": "white", "lw": width + 1.6})]
-            lines += [*halo, (route.points, style)]
-    return _map(look, mask, anchors=GREYS, dots=dots, lines=lines, **values)
+            later = len(names) - 1 - names.index(guess.name)
+            width, dashes = 2 + 1.2 * later, DASHES[later % len(DASHES)]
+            ink, halo = rgb(inks[guess.name]), {"color": "white", "lw": width + 1.6}
+            line = {"color": ink, "ls": dashes, "lw": width, "label": guess.name}
+            # only the first, which is the widest, has a rim
+            lines += [(route.points, halo)] * (len(lines) == further) + [(route.points, line)]
+    return _map(look, mask, anchors=GREYS, dots=dots, lines=lines, caption=caption)
 
 
-def _row(look: Look, figure: str, names: Sequence[str], **values: Any) -> list[Panel | None]:
-    """Make a row of a sample's panels, see `draw`; of a method that did not predict it, none."""
-    masks, by_name = look.masks, {guess.name: guess for guess in look.guesses}
-    truth, guesses = masks.get("occupancy"), [by_name.get(name) for name in names]
-    match figure:
-        case "sample":
-            return [_scan(look), _map(look, masks.get("observed")), _map(look, truth)]
-        case "sample's levels":
-            levels = None, 3 * look.grid.shape[2] // 4
-            fields = [_distances(look, look.tudf, level, look.certain) for level in levels]
-            return [_after_scan(look), *fields]
-        case "sheet":
-            if truth is None:
-                return [_scan(look)]
-            returns = {"label": "returns", "color": INK, "s": 1, "lw": 0, "zorder": 6}
-            dots = [] if look.points is None else [(look.points, returns)]
-            return [_map(look, truth, dots=[*_sensor(look), *dots], **values)]
-        case "completions":
-            made = [g and _map(look, g.occupied, truth=truth, caption=look.iou(g)) for g in guesses]
-            return [_scan(look), _map(look, truth), *made]
-        case "distances":
-            made = [g and _distances(look, g.tudf) for g in guesses]
-            return [_after_scan(look), _distances(look, look.tudf, None, look.certain), *made]
-        case "example":
-            made = [  # a path that collides is free in its own prediction
-                g and _paths(look, g.occupied, [g], names, hits=False, caption=look.iou(g))
-                for g in guesses
-            ]
-            return [*made, _paths(look, truth, guesses, names)]
-    return [_paths(look, truth, guesses, names, **values)]
+def _row(
+    look: Look, figure: str, names: Sequence[str], box: Sequence[Part], caption: str
+) -> dict[str, Panel | None]:
+    """Make a row of a sample's panels by the names of their columns, see `draw`."""
+    truth, by_name = look.masks.get("occupancy"), {guess.name: guess for guess in look.guesses}
+    if figure == "sample":
+        return {"scan": _scan(look), "observed": _observed(look), "truth": _map(look, truth)}
+    if figure == "paths":
+        return {"": _paths(look, truth, look.guesses, names, lines=box, caption=caption)}
+    if figure == "sheet":
+        if truth is None:
+            return {"": _scan(look)}
+        returns = {"label": "returns", "color": INK, "s": 1, "lw": 0, "zorder": 6}
+        dots = [] if look.points is None else [(look.points, returns)]
+        return {"": _map(look, truth, dots=[*_sensor(look), *dots], caption=caption)}
+
+    def predicted(name: str) -> Panel | None:
+        if (guess := by_name.get(name)) is None:
+            return None
+        if figure == "distances":
+            return _distances(look, guess.tudf)
+        if figure == "completions":
+            return _map(look, guess.occupied, truth=truth, caption=look.iou(guess))
+        # a path that collides is free in its own prediction
+        return _paths(look, guess.occupied, [guess], names, hits=False, caption=look.iou(guess))
+
+    panels = {name: predicted(name) for name in names}
+    if figure == "completions":
+        return {"scan": _scan(look), "truth": _map(look, truth), **panels}
+    if figure == "example":
+        return {**panels, "truth": _paths(look, truth, look.guesses, names)}
+    distances = partial(_distances, look, look.tudf, certain=look.certain)
+    known = {"scan": _after_scan(look)}
+    if figure == "levels":  # below a sample
+        return known | {"observed": distances(), "truth": distances(3 * look.grid.shape[2] // 4)}
+    return known | {"truth": distances(), **panels}
 
 
 def draw(
@@ -451,7 +445,7 @@ def draw(
     *,
     title: str = "",
     paper: Paper = SCREEN,
-    box: Any = None,
+    box: tuple[Floats, Floats] | None = None,
 ) -> Figure:
     """Draw samples, or a scan, a map or a world.
 
@@ -466,28 +460,25 @@ def draw(
     Raises:
         DatasetError: Nothing is predicted, no path was planned, or the paper is too narrow.
     """
-    several = len(looks) > 1
+    look, *others = looks
     figure = figure or ("completions" if any(look.guesses for look in looks) else "sample")
-    if figure == "sample" and (several or looks[0].tudf is None):
+    if figure == "sample" and (others or look.tudf is None):
         figure = "sheet"
     is_predicted = figure not in ("sample", "sheet")
     names = methods_of(looks, paths=figure in ("paths", "example")) if is_predicted else []
-    captions = [look.name * several for look in looks]
+    texts = [look.name for look in looks] if others else [""]
+    edges = []
+    if box is not None:
+        corners = np.array(list(itertools.product(*zip(*box, strict=True))))
+        edges = [(corners[OUTLINE], {"label": "the map's box", "color": BLUE, "lw": 2})]
     cells = [
-        _row(look, figure, names, caption=caption, inner=box)
-        for look, caption in zip(looks, captions, strict=True)
+        _row(look, figure, names, edges, text) for look, text in zip(looks, texts, strict=True)
     ]
-    below = {"sample": "sample's levels", "completions": "distances"}.get(figure)
-    if below and not several:  # a single sample has room for its levels
-        cells.append(_row(looks[0], below, names))
-    columns = {
-        "sample": ["scan", "observed voxels", "truth"],
-        "completions": ["scan", "truth", *names],
-        "distances": ["scan", "truth", *names],
-        "example": [*names, "truth"],
-    }.get(figure, [])
-    rows = captions if several and columns else []
-    return compose(cells, columns=columns, rows=rows, title=title, paper=paper)
+    below = {"sample": "levels", "completions": "distances"}.get(figure)
+    if below and not others:  # a single sample has room for its levels
+        cells.append(_row(look, below, names, [], ""))
+    has_rows = others and len(cells[0]) > 1
+    return compose(cells, texts if has_rows else [], title=title, paper=paper)
 
 
 def with_path(look: Look, name: str, points: Floats, hit: Floats | None = None) -> Look:
