@@ -189,7 +189,7 @@ def main():
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     stage.SHOWN = 1
-    stills.MAX_VOXELS, stills.DPI = 200, 50  # pictures have their own tests
+    stills.DPI = 50  # pictures have their own tests
     for words in json.load(sys.stdin):
         begin = time.process_time()
         assert code_of(*words) == 0, words

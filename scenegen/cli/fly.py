@@ -410,9 +410,9 @@ def _show(
         from scenegen.view.stills import draw, to_bytes, with_path
 
         look = look_of_world(course.drawn, course.world)
-        for n, flight in enumerate(ways, 1):
-            hit = flight.path[-1] if flight.outcome == "crashed" else None
-            look = with_path(look, f"{n}: {flight.outcome}", flight.path, hit)
+        for n, (flight, mission) in enumerate(zip(ways, course.missions, strict=True), 1):
+            hit = flight.path[-1] if flight.outcome == "collision" else None
+            look = with_path(look, f"{n}: {flight.outcome}", flight.path, mission.goal, hit)
         figure = draw([look], "paths", title=f"{name} in {course.world}")
         write_result(picture, to_bytes(figure, ".png"))
     if film is not None:

@@ -172,10 +172,14 @@ def compose(
         paper: Size of the picture.
 
     Raises:
-        DatasetError: The columns are too narrow either way, or there is no panel.
+        DatasetError: The columns are too narrow either way, or no row has a panel.
     """
     fit = max(1, int(paper.width / MIN_PANEL)) if paper.width else MAX_ACROSS
     columns = [name for name in cells[0] if any(row[name] for row in cells)]
+    if not columns:
+        raise DatasetError(
+            "no sample has what this picture shows; `scenegen verify` says what is damaged"
+        )
     table = [[row[name] for name in columns] for row in cells]
     if len(columns) == 1:
         count = min(fit, SHEET, len(cells))
@@ -184,7 +188,7 @@ def compose(
     elif len(columns) > fit:
         table = [list(column) for column in zip(*table, strict=True)]
         columns, rows = list(rows), columns
-    if not 0 < (count := len(table[0])) <= fit:
+    if (count := len(table[0])) > fit:
         raise DatasetError(
             f"{count} panels side by side are too narrow to be read; give a wider --paper, or draw "
             "fewer samples or methods"
@@ -393,7 +397,7 @@ def _paths(
         if route.points is not None:
             # earlier paths are wider, so that all of several coinciding paths can be seen
             later = len(names) - 1 - names.index(guess.name)
-            width, dashes = 2 + 1.2 * later, DASHES[later % len(DASHES)]
+            width, dashes = 2 + 1.2 * min(later, len(DASHES)), DASHES[later % len(DASHES)]
             ink, halo = rgb(inks[guess.name]), {"color": "white", "lw": width + 1.6}
             line = {"color": ink, "ls": dashes, "lw": width, "label": guess.name}
             # only the first, which is the widest, has a rim
@@ -481,10 +485,20 @@ def draw(
     return compose(cells, texts if has_rows else [], title=title, paper=paper)
 
 
-def with_path(look: Look, name: str, points: Floats, hit: Floats | None = None) -> Look:
-    """Add a path to a world: its name, points (n, 3), and where it meets an obstacle (3,), metres
-    in the world."""
-    route = Route(start=points[0], goal=points[-1], points=points, told="", hit=hit)
+def with_path(
+    look: Look, name: str, points: Floats, goal: Any = None, hit: Floats | None = None
+) -> Look:
+    """Add a path to a world, all of it in metres in the world.
+
+    Args:
+        look: The world.
+        name: Name of the path.
+        points: The path (n, 3).
+        goal: Its goal (3,); None: it ends there.
+        hit: Where it meets an obstacle (3,); None: nowhere.
+    """
+    goal = points[-1] if goal is None else np.array(goal)
+    route = Route(start=points[0], goal=goal, points=points, told="", hit=hit)
     guess = Guess(name=name, occupied=look.masks["occupancy"], tudf=None, route=route)
     return replace(look, guesses=(*look.guesses, guess))
 
