@@ -104,17 +104,22 @@ class Panel:
         room = 0.06 * np.ptp(paper, axis=0).max()
         return np.stack([paper.min(axis=0) - room, paper.max(axis=0) + room], axis=1)
 
+    def ratio(self) -> float:
+        """Return its height as a share of its width."""
+        (left, right), (down, up) = self.limits()
+        return float((up - down) / (right - left))
+
     def draw(self, axes: Any, width: float) -> None:
         """Draw it on axes of matplotlib that are so many inches wide."""
         limits, (low, high) = self.limits(), (self.low, self.high)
         thin = float(np.clip(width / PANEL, 0.5, 1))
-        axes.set(xlim=limits[0], ylim=limits[1], xlabel=printable(self.caption), frame_on=False)
+        axes.set(xlim=limits[0], ylim=limits[1], xlabel=printable(self.caption), aspect="equal")
         blocks.draw_box(axes, low, high, self.place, INK, thin)
         if self.image is not None:
             (left, down), (right, up) = self.place([low, high])
             axes.fill_between((left, right), down, up, **HATCH)
             image, extent = self.image.swapaxes(0, 1), (left, right, down, up)
-            axes.imshow(image, origin="lower", extent=extent, aspect="auto", zorder=2)
+            axes.imshow(image, origin="lower", extent=extent, zorder=2)
         if self.mask is not None:
             voxel = 72 * width * (high - low)[0] / np.ptp(limits[0]) / len(self.mask)
             edge = min(voxel / 12, 0.5)
@@ -162,9 +167,6 @@ def compose(
 ) -> Figure:
     """Draw panels in rows, with colour bars and one legend below them.
 
-    Columns without a panel are left out. A single column is dealt to rows. If the paper is too
-    narrow, rows and columns change places.
-
     Args:
         cells: Panels of each row by the names of their columns; None for an empty place.
         rows: Names beside rows.
@@ -172,68 +174,47 @@ def compose(
         paper: Size of the picture.
 
     Raises:
-        DatasetError: The columns are too narrow either way, or no row has a panel.
+        DatasetError: The paper is too narrow, or no row has a panel.
     """
-    fit = max(1, int(paper.width / MIN_PANEL)) if paper.width else MAX_ACROSS
-    columns = [name for name in cells[0] if any(row[name] for row in cells)]
-    if not columns:
-        raise DatasetError(
-            "no sample has what this picture shows; `scenegen verify` says what is damaged"
-        )
-    table = [[row[name] for name in columns] for row in cells]
-    if len(columns) == 1:
-        count = min(fit, SHEET, len(cells))
-        single = [panel for (panel,) in table] + [None] * (-len(cells) % count)
-        table = [single[n : n + count] for n in range(0, len(single), count)]
-    elif len(columns) > fit:
-        table = [list(column) for column in zip(*table, strict=True)]
-        columns, rows = list(rows), columns
-    if (count := len(table[0])) > fit:
-        raise DatasetError(
-            f"{count} panels side by side are too narrow to be read; give a wider --paper, or draw "
-            "fewer samples or methods"
-        )
-    places = [(n, m, panel) for n, row in enumerate(table) for m, panel in enumerate(row) if panel]
-    panels = [panel for *_, panel in places]
+    table, columns, rows = _arrange(cells, rows, paper)
+    panels = [panel for row in table for panel in row if panel]
     bars = {panel.bar[0]: panel.bar for panel in panels if panel.bar}
     styles = [style for panel in panels for _, style in [*panel.dots, *panel.lines]]
     labels = {style["label"] for style in styles if "label" in style}
     title = "" if paper.width else title
 
     # lengths in inches, from the upper left corner
-    em, wide = paper.points / 72, paper.width or count * max(PANEL, ALONE / count)
+    count, em = len(table[0]), paper.points / 72
+    wide = paper.width or count * max(PANEL, ALONE / count)
     left, top = 2 * em * bool(rows), 2 * em * (bool(title) + any(columns))
     width = (wide - left) / count
-    ratios = [np.divide(*np.ptp(panel.limits(), axis=1)[::-1]) for panel in panels]
-    heights = np.zeros(len(table))
-    np.maximum.at(heights, [n for n, *_ in places], np.multiply(width, ratios))
-    tops = top + np.cumsum([0, *(heights + 1.8 * em)])
+    heights = [width * max(panel.ratio() for panel in row if panel) for row in table]
+    tops = top + np.cumsum([0, *np.add(heights, 1.8 * em)])
     ncols = max(1, int(wide / (em * (0.55 * max(map(len, labels), default=0) + 4))))
     high = tops[-1] + em * (4.5 * bool(bars) + 1.6 * -(-len(labels) // ncols) + 0.4)
     with rc_context(style(paper)):
         figure = Figure(figsize=(wide, high))
 
-        def add_axes(x: float, y: float, width: float, height: float) -> Any:
+        def add_axes(x: float, y: float, width: float, height: float, **values: Any) -> Any:
             place = x / wide, 1 - (y + height) / high, width / wide, height / high
-            axes = figure.add_axes(place, xticks=[], yticks=[])
+            axes = figure.add_axes(place, xticks=[], yticks=[], **values)
             axes.tick_params(labelsize=paper.points, length=2, pad=2)
             return axes
 
-        def write(x: float, y: float, text: str, room: float, **values: Any) -> None:
-            text = printable(text)[: max(3, int(room / (0.58 * em)))]
-            figure.text(x / wide, 1 - y / high, text, ha="center", va="center", **values)
+        def cut(text: str, room: float) -> str:
+            return printable(text)[: max(3, int(room / (0.58 * em)))]
 
-        for (n, m, panel), ratio in zip(places, ratios, strict=True):
-            y = tops[n] + (heights[n] - width * ratio) / 2
-            panel.draw(add_axes(left + m * width, y, width, width * ratio), width)
-        write(wide / 2, 1.2 * em, title, wide / 1.2, fontsize=1.2 * paper.points)
-        for m, text in enumerate(columns):
-            write(left + (m + 0.5) * width, top - 0.6 * em, text, width)
-        for n, text in enumerate(rows):
-            write(em, tops[n] + heights[n] / 2, text, heights[n], rotation=90)
-        room = wide / max(len(bars), 1)
-        length = min(2.4, 0.75 * room)
+        figure.suptitle(cut(title, wide / 1.2), y=1 - 0.6 * em / high)
+        for (n, row), (m, column) in itertools.product(enumerate(table), enumerate(columns)):
+            title = cut(column, width) if n == 0 else ""
+            name = cut(rows[n], heights[n]) if rows and m == 0 else ""
+            x, y = left + m * width, tops[n]
+            axes = add_axes(x, y, width, heights[n], title=title, ylabel=name, frame_on=False)
+            if panel := row[m]:
+                panel.draw(axes, width)
         for n, (label, anchors, *ends) in enumerate(bars.values()):
+            room = wide / len(bars)
+            length = min(2.4, 0.75 * room)
             axes = add_axes((n + 0.5) * room - length / 2, tops[-1] + 0.3 * em, length, 0.6 * em)
             shades = ListedColormap(colour(np.linspace(0, 1, 256), anchors))
             values, ticks = ScalarMappable(Normalize(*ends), shades), MaxNLocator(4)
@@ -242,6 +223,35 @@ def compose(
         marks = {label: mark for mark, label in itertools.chain(*pairs)}
         figure.legend(marks.values(), marks, loc="lower center", ncols=ncols, frameon=False)
     return figure
+
+
+def _arrange(
+    cells: Sequence[Mapping[str, Panel | None]], rows: Sequence[str], paper: Paper
+) -> tuple[list[list[Panel | None]], list[str], list[str]]:
+    """Return a table of panels, and names of its columns and rows. Columns without a panel are left
+    out. A single column is dealt to rows. If the paper is too narrow, rows and columns change
+    places."""
+    fit = max(1, int(paper.width / MIN_PANEL)) if paper.width else MAX_ACROSS
+    columns, rows = [name for name in cells[0] if any(row[name] for row in cells)], list(rows)
+    if not columns:
+        raise DatasetError(
+            "no sample has what this picture shows; `scenegen verify` says what is damaged"
+        )
+    table = [[row[name] for name in columns] for row in cells]
+    if len(columns) == 1:
+        count = min(fit, SHEET, len(cells))
+        panels = [panel for (panel,) in table] + [None] * (-len(cells) % count)
+        table = [panels[n : n + count] for n in range(0, len(panels), count)]
+        columns = [""] * count
+    elif len(columns) > fit:
+        table = [list(column) for column in zip(*table, strict=True)]
+        columns, rows = rows or [""] * len(cells), columns
+    if len(columns) > fit:
+        raise DatasetError(
+            f"{len(columns)} panels side by side are too narrow to be read; give a wider --paper, "
+            "or draw fewer samples or methods"
+        )
+    return table, columns, rows
 
 
 def to_bytes(figure: Figure, suffix: str) -> bytes:

@@ -80,7 +80,8 @@ def predicted(look):
 def texts(figure):
     """What stands above and beside its panels, below them, and in its legend."""
     (legend,) = figure.legends
-    names = [text.get_text() for text in figure.texts if text.get_text()]
+    every = [figure.get_suptitle(), *(axes.get_title() for axes in figure.axes)]
+    names = [name for name in [*every, *(axes.get_ylabel() for axes in figure.axes)] if name]
     captions = [axes.get_xlabel() for axes in figure.axes]
     return names, captions, {text.get_text() for text in legend.get_texts()}
 
