@@ -103,7 +103,8 @@ def render(
 ) -> None:
     """Draw samples of a dataset, with predictions.
 
-    Or draw a world (.xml), a scan, the completion of a scan (.h5), or the curves of a training run.
+    Or draw a world (.xml), a map, a scan, the completion of a scan (.h5), or the curves of a
+    training run.
 
     \f
     Raises:

@@ -320,21 +320,27 @@ def _sensor(look: Look) -> list[Part]:
     return [(look.position[None], SENSOR)] * look.has_sensor
 
 
-def _observed(look: Look) -> Panel | None:
+def _observed(look: Look, **values: Any) -> Panel | None:
     # what the truth does not know is known to the scan all the same
-    return _map(replace(look, known=None), look.masks.get("observed"))
+    return _map(replace(look, known=None), look.masks.get("observed"), **values)
 
 
-def _scan(look: Look) -> Panel | None:
-    """Make a panel of a sample's returns; if there are none, of its observed voxels."""
-    if (points := look.points) is None or not len(points):
-        return _observed(look)
-    low, high = look.corners
+def _returns(look: Look) -> Floats:
+    """The returns (n, 3) in a sample's map."""
+    points, (low, high) = np.zeros((0, 3)) if look.points is None else look.points, look.corners
+    return points[((low <= points) & (points <= high)).all(axis=1)]
+
+
+def _scan(look: Look, **values: Any) -> Panel | None:
+    """Make a panel of the returns in a sample's map; if there are none, of its observed voxels."""
+    (low, high), points = look.corners, _returns(look)
+    if not len(points):
+        return _observed(look, **values)
     points = points[np.argsort(points @ blocks.EYE)]  # near ones hide far ones
     shades = colour((points[:, 2] - low[2]) / (high - low)[2], HEIGHTS)
     size, many = float(np.clip(2e4 / len(points), 0.3, 3)), len(points) > blocks.MAX_VECTORS
     dots = points, {"c": shades, "s": size, "lw": 0, "zorder": 3, "rasterized": many}
-    return Panel(low=low, high=high, dots=[dots, *_sensor(look)], bar=_heights(look))
+    return Panel(low=low, high=high, dots=[dots, *_sensor(look)], bar=_heights(look), **values)
 
 
 def _level_of(look: Look) -> int:
@@ -426,10 +432,10 @@ def _row(
         return {"": _paths(look, truth, look.guesses, names, lines=box, caption=caption)}
     if figure == "sheet":
         if truth is None:
-            return {"": _scan(look)}
+            return {"": _scan(look, caption=caption)}
         returns = {"label": "returns", "color": INK, "s": 1, "lw": 0, "zorder": 6}
-        dots = [] if look.points is None else [(look.points, returns)]
-        return {"": _map(look, truth, dots=[*_sensor(look), *dots], caption=caption)}
+        dots = [*_sensor(look), *[(_returns(look), returns)] * (look.points is not None)]
+        return {"": _map(look, truth, dots=dots, caption=caption)}
 
     def predicted(name: str) -> Panel | None:
         if (guess := by_name.get(name)) is None:
