@@ -34,8 +34,7 @@ from lidarsim.sensors.device import angles_deg
 from scenegen.draw.draw import scan_world
 from scenegen.draw.source import read_world
 from scenegen.view.canvas import DISTANCES, colour
-from scenegen.view.panels import to_bytes
-from scenegen.view.pictures import draw_patterns
+from scenegen.view.stills import draw_patterns, to_bytes
 from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent
@@ -70,7 +69,6 @@ LOOKS = {
         "data/geometric --split test --figure paths --index 499 --index 299 --index 7 "
         f"{NETWORKS} --weights columns",
     ),
-    "turn": (384, "data/geometric --split test --index 437 --turn"),
     "example": (1300, f"data/geometric --split test --index 7 --figure example {NETWORKS}"),
     "archived": (800, "data/pillar --split test --index 7 --figure world"),
     "flight": (800, "scenes/warehouse.xml --flight"),
@@ -103,24 +101,17 @@ def draw_looks() -> None:
     """Draw the pictures of docs/look.md by the commands that stand there."""
     with tempfile.TemporaryDirectory() as folder:
         for name, (wide, words) in LOOKS.items():
-            drawn = Path(folder, f"{name}.png" if name != "turn" else "turn.webp")
+            drawn = Path(folder, f"{name}.png")
             subprocess.run(["scenegen", "render", *words.split(), "-o", drawn], check=True)
             with Image.open(drawn) as picture:
                 small(picture, wide, f"{name}.webp")
 
 
 def small(picture: Any, wide: int, name: str) -> None:
-    """Write one of docs/look.md's pictures, so many pixels wide; of a film every second picture."""
+    """Write one of docs/look.md's pictures, so many pixels wide."""
     size = wide, round(picture.height * wide / picture.width)
-    drawn = []
-    for n in range(0, getattr(picture, "n_frames", 1), 2):
-        picture.seek(n)
-        drawn.append(picture.convert("RGB").resize(size, Image.Resampling.LANCZOS))
-    how: dict[str, Any] = {"quality": 70, "method": 6}
-    if drawn[1:]:
-        how |= {"quality": 45, "save_all": True, "append_images": drawn[1:]}
-        how |= {"duration": 444, "loop": 0}
-    drawn[0].save(DOCS / "pictures" / "look" / name, **how)
+    drawn = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    drawn.save(DOCS / "pictures" / "look" / name, quality=70, method=6)
 
 
 @contextmanager

@@ -151,8 +151,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     Raises:
         ImportError: matplotlib is not installed.
     """
-    from scenegen.view.figures import draw_paths
-    from scenegen.view.panels import to_bytes
+    from scenegen.view.stills import draw, to_bytes
 
     learned = [method for method in methods if method.learned]
     name, trials = failing(result)
@@ -163,7 +162,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
         of_trial = partial(guesses, learned, result.config, turn)
         look = look_into(result.dataset.split(result.config.split), index, of_trial)
         caption = f"{name} fails: {look.name}, goal {turn}"
-        figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
+        figure = draw([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], "paths")
         figure.set_dpi(WIDE / figure.get_figwidth())
         pictures.append((caption, to_bytes(figure, ".webp")))
     return pictures

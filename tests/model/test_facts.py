@@ -81,7 +81,7 @@ def test_files_are_inspected(here, capsys, name):
 
 @pytest.mark.parametrize("name", ["scan.pcd", "done.h5", "run"])
 def test_files_are_drawn(here, capsys, monkeypatch, name):
-    monkeypatch.setattr("scenegen.view.panels.DPI", 40)
+    monkeypatch.setattr("scenegen.view.stills.DPI", 40)
     assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", "")
     assert (here / "x.png").read_bytes().startswith(b"\x89PNG")
 

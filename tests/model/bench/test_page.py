@@ -39,7 +39,7 @@ def measured(made):
 
 def test_the_page_holds_figures_and_runs_nothing(measured, monkeypatch):
     """Both tables, the paper's, charts and pictures."""
-    monkeypatch.setattr("scenegen.view.panels.DPI", 40)
+    monkeypatch.setattr("scenegen.view.stills.DPI", 40)
     result, _, methods = measured
     name, trials = failing(result)
     assert name == HOSTILE
