@@ -6,6 +6,7 @@ them as JSON.
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -20,6 +21,7 @@ from scenegen.draw.draw import draw_unit
 from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.worlds.kinds import kind_names
 from scenegen.worlds.recipe import preset
+from scenegen.worlds.traffic import PRESETS
 
 SCENES = Path(__file__).parent.parent / "scenes"
 
@@ -41,9 +43,11 @@ def of_datasets():
     )
     found["directions"] = digest(sensor.directions_body for sensor in sensors)
     for kind in kind_names():
-        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, 1)
+        found[kind] = _flights(DrawnWorlds(preset(kind)), preset(kind), 1)
+    moving = replace(preset("street"), parts={"movers": PRESETS["dense"]})
+    found["movers"] = _flights(DrawnWorlds(moving), moving, 1)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
-    found["scenes"] = _flights(scenes, "scene", len(scenes.scenes["train"]))
+    found["scenes"] = _flights(scenes, preset("scene"), len(scenes.scenes["train"]))
     return found | _noises()
 
 
@@ -64,10 +68,10 @@ def _noises():
     return found
 
 
-def _flights(source, kind, units):
+def _flights(source, recipe, units):
     total = hashlib.sha256()
     for unit in range(units):
-        drawn = draw_unit(source, preset(kind), seed=0, split="train", unit=unit)
+        drawn = draw_unit(source, recipe, seed=0, split="train", unit=unit)
         total.update(drawn.world.mjcf)
         for sample in drawn.samples:
             total.update(sample.sha256() + digest([sample.free, sample.tudf]).encode())

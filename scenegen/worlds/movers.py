@@ -57,21 +57,26 @@ class Body:
     @cached_property
     def balls(self) -> Floats:
         """Balls (B, 4), centre and radius, that hold every point of the solids."""
-        boxes = [
-            (centre - reach, centre + reach)
-            for centre, reach in zip(self.offset, self._half(), strict=True)
-        ]
-        return np.concatenate([_covered(low, high) for low, high in boxes])
+        parts = []
+        for shape, size, centre, half in zip(
+            self.shape, self.size, self.offset, self._half, strict=True
+        ):
+            if shape == CAPSULE:
+                parts.append(_along_axis(size[0], size[1], centre))
+            else:
+                parts.append(_covered(centre - half, centre + half))
+        return np.concatenate(parts)
 
     @cached_property
     def ball(self) -> tuple[float, float]:
         """Height of the centre and radius of a ball, centred above the origin, that holds all."""
-        half = self._half()
+        half = self._half
         low, high = (self.offset - half)[:, 2].min(), (self.offset + half)[:, 2].max()
         middle = float(low + high) / 2
         corners = np.abs(self.offset - (0.0, 0.0, middle)) + half
         return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
 
+    @cached_property
     def _half(self) -> Floats:
         """Half edges (S, 3) of boxes around the solids."""
         half = self.size.copy()
@@ -80,6 +85,18 @@ class Body:
             [self.size[:, 0], self.size[:, 0], self.size[:, :2].sum(axis=1)], 1
         )[capsules]
         return half
+
+
+def _along_axis(radius: float, half: float, centre: Floats) -> Floats:
+    """Balls (B, 4) on the axis of an upright capsule that cover it."""
+    count = max(math.ceil(2.0 * half / radius), 1) + 1
+    heights = np.linspace(-half, half, count)
+    # halfway between two centres, the capsule's side is as far from its axis as anywhere
+    gap = half / (count - 1)
+    reach = math.sqrt(radius * radius + gap * gap)
+    return np.column_stack(
+        [np.tile(centre, (count, 1)) + heights[:, None] * (0, 0, 1), np.full(count, reach)]
+    )
 
 
 def _covered(low: Floats, high: Floats) -> Floats:
@@ -249,7 +266,7 @@ class _Tour:
         """Round a regular polygon."""
         corners, radius = int(self.rng.integers(4, 9)), self.rng.uniform(2.0, 8.0)
         x, y = self.rng.uniform(-1.0, 1.0, 2).tolist()
-        length = math.hypot(x, y) or 1.0
+        length = math.sqrt(x * x + y * y) or 1.0
         spoke, points = np.array([x, y]) / length * radius, list[Floats]()
         cosine, sine = TURNS[corners]
         middle = self._start()
@@ -303,7 +320,7 @@ class _Tour:
         ground = np.where(np.isfinite(depth), above[:, 2] - depth, 0.0)
         # balls that cover the lowest solids reach below them
         sink = max(0.0, -float((self.body.balls[:, 2] - self.body.balls[:, 3]).min()))
-        return np.column_stack([points[:, :2], ground + (sink + 2 * GAP_M)])
+        return np.column_stack([points[:, :2], ground + (sink + 1.2 * GAP_M)])
 
     def _leg_from(self, start: Floats) -> Floats | None:
         """Draw the end of a free straight leg, or None."""
