@@ -175,8 +175,8 @@ TYPES = {
         shows="scenegen.view.look:looks_of_dataset",
     ),
     "predictions": PathType(
-        form="an .h5 file, or a folder with predictions.json",
-        test=lambda path: ends(".h5")(path) or holds("predictions.json")(path),
+        form="an .h5 file, or a folder with predictions.json or completions.json",
+        test=lambda path: ends(".h5")(path) or holds("predictions.json", "completions.json")(path),
         opens="scenegen.model.bench.methods:Predicted",
         facts="scenegen.model.completion.stored:prediction_facts",
         draws="scenegen.model.completion.scans:draw_completion",
@@ -241,6 +241,8 @@ TYPES = {
         form="a .json file of `scenegen fly -o`",
         test=begins(".json", r'\s*\{\s*"format":\s*\d+,\s*"scenegen":'),
         opens="scenegen.fly.course:read_recording",
+        shows="scenegen.model.robots.film:looks_of_recording",
+        film=True,
     ),
     "recipe": PathType(
         form="a .toml file", test=ends(".toml"), opens="scenegen.worlds.recipe:read_recipe"
@@ -304,17 +306,20 @@ def check_type(path: str | PurePath, *expected: str) -> None:
         raise DatasetError(f"{path}: is of type {name} ({TYPES[name].form}), {hint}")
 
 
-def function_for(path: str | PurePath, verb: Literal["opens", "facts", "draws", "shows"]) -> Any:
+def function_for(
+    path: str | PurePath, verb: Literal["opens", "facts", "draws", "shows"], name: str | None = None
+) -> Any:
     """Import the function for a path's type.
 
     Args:
         path: The path.
         verb: Field of `PathType` that names the function.
+        name: The type, if it is known better than by the path.
 
     Raises:
         DatasetError: if the path has no type, or its type has no such function.
     """
-    name = what_is(path)
+    name = name or what_is(path)
     targets = {
         type_name: target for type_name in TYPES if (target := getattr(TYPES[type_name], verb))
     }

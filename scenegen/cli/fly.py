@@ -421,7 +421,7 @@ def _show(
 
         robot = None if filmed is None else robot_maker(*filmed)(course)
         try:
-            write_result(film, flight_page(name, course, 0, robot, ways[0]))
+            write_result(film, flight_page(name, course, 0, robot, ways))
         finally:
             getattr(robot, "close", lambda: None)()  # a robot of another process has one
     if log is not None:

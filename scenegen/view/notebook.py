@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from lidarsim import GridSpec, Sensor
-from scenegen.base.errors import DatasetError
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.files import write_result
 from scenegen.base.paths import TYPES, check_type, function_for, what_is
 from scenegen.dataset.locate import locate
@@ -116,6 +117,11 @@ def show(
         looks = function_for(name, "shows")(locate(name))
     else:
         several = [samples] if isinstance(samples, Sample) else samples
+        if not isinstance(several, Sequence) or not all(isinstance(one, Sample) for one in several):
+            raise DatasetError(
+                f"show({short_repr(samples)}): expected a sample, a list of samples, or a path; of "
+                "a sensor in a simulation, see scenegen.view_live"
+            )
         looks = [_look(sample, grid or sample.grid, lidar) for sample in several]
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
@@ -125,22 +131,25 @@ def show(
     return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
 
 
-def page_of(name: str) -> Shown:
+def page_of(name: str, known_type: str | None = None, **options: Any) -> Shown:
     """Make the page of whatever a path is.
 
     Args:
         name: A path of a type in `TYPES` that can be shown or drawn.
+        known_type: The type, if it is known better than by the path.
+        options: Arguments of the function that shows this type.
 
     Raises:
         DatasetError: The path does not exist, or has no type, or one that cannot be shown.
     """
-    path_type = TYPES[what_is(name)]
-    check_type(name, *(known for known, kind in TYPES.items() if kind.shows or kind.draws))
+    path_type = TYPES[known_type or what_is(name)]
+    if known_type is None:
+        check_type(name, *(known for known, kind in TYPES.items() if kind.shows or kind.draws))
     if not path_type.shows:
         figure = function_for(name, "draws")(Path(name))
         title = f"<title>{html.escape(name)}</title>"
         return Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
-    looks = function_for(name, "shows")(locate(name))
+    looks = function_for(name, "shows", known_type)(locate(name), **options)
     notes = [line for look in looks for line in look.missing]
     content = page(looks, title=Path(name).name, notes=notes, film=path_type.film)
     drawn = path_type.draws and not looks[0].guesses
@@ -177,8 +186,9 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         # another name may be of a scan or of weights, which a page would replace
-        if Path(out).suffix != ".html":
-            raise DatasetError(f"{os.fspath(out)}: expected a name that ends in .html")
+        name = os.fspath(out) if isinstance(out, str | os.PathLike) else short_repr(out)
+        if "://" in name or not name.endswith(".html"):
+            raise DatasetError(f"{name}: expected a file on this machine that ends in .html")
         write_result(Path(out), result.html.encode())
     elif "ipykernel" not in sys.modules:  # not within a notebook
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
@@ -203,12 +213,14 @@ def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     from scenegen.truth import distance_field  # compiles: not for those who only show samples
 
     tudf = predicted.distance(None, grid) if is_prediction else distance_field(occupied, grid)
-    return Guess(name=name, occupied=occupied, tudf=tudf)
+    chance = predicted.chance if is_prediction else None
+    return Guess(name=name, occupied=occupied, tudf=tudf, chance=chance)
 
 
 def _route(path: Any) -> Route:
     """Check the points of a path, and make a `Route`."""
-    points = np.asarray(path, float)
+    with reraise_as(DatasetError, "path: ", of=(TypeError, ValueError)):
+        points = np.asarray(path, float)
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()

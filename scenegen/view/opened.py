@@ -15,6 +15,7 @@ from lidarsim.grid import MAX_EDGE, Floats, GridSpec, Mask
 from lidarsim.pose import rotate
 from lidarsim.voxelization import sort_points
 from scenegen.base.errors import DatasetError
+from scenegen.base.paths import is_map
 from scenegen.view.look import Look, evenly
 
 MAX_POINTS = 150_000
@@ -35,18 +36,19 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 """Attitude of a sensor whose attitude is not known."""
 
 
-def looks_of_scan(path: Path) -> list[Look]:
+def looks_of_scan(path: Path, columns: int | None = None) -> list[Look]:
     """Read the scan of a file, in the frame of its sensor.
 
     Args:
         path: A point cloud, see `scenegen.worlds.clouds.READERS`.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         DatasetError: The file cannot be read, or has no returns.
     """
     from scenegen.worlds.clouds import read_cloud
 
-    cloud = read_cloud(path)
+    cloud = read_cloud(path, columns=columns)
     returns = cloud.points[cloud.returned]
     if not len(returns):
         raise DatasetError(f"{path}: none of its points is a return")
@@ -77,11 +79,12 @@ def looks_of_scan(path: Path) -> list[Look]:
     ]
 
 
-def looks_of_scans(folder: Path) -> list[Look]:
+def looks_of_scans(folder: Path, columns: int | None = None) -> list[Look]:
     """Read scans of a folder, each in the frame of its sensor, in the order of their names.
 
     Args:
         folder: A folder with point clouds; of more than `MAX_FRAMES`, some evenly spread.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         DatasetError: A file cannot be read, or has no returns.
@@ -90,22 +93,23 @@ def looks_of_scans(folder: Path) -> list[Look]:
 
     paths = scans_in(folder)
     chosen = evenly(len(paths), MAX_FRAMES)
-    frames = [look for n in chosen for look in looks_of_scan(paths[n])]
+    frames = [look for n in chosen for look in looks_of_scan(paths[n], columns)]
     return _noted(frames, len(paths))
 
 
-def looks_of_log(path: Path) -> list[Look]:
+def looks_of_log(path: Path, **reading: Any) -> list[Look]:
     """Read scans of a log, each at its pose in the world, in the order of time.
 
     Args:
         path: A log with poses; of more than `MAX_FRAMES` scans, some evenly spread.
+        reading: Arguments of `read_log`.
 
     Raises:
         DatasetError: The log cannot be read.
     """
     from scenegen.logs.read import read_log
 
-    log = read_log(path)
+    log = read_log(path, **reading)
     chosen = set(evenly(len(log.times_s), MAX_FRAMES))
     frames, grid = list[Look](), None
     for number, scan in enumerate(log.scans()):
@@ -151,10 +155,10 @@ def looks_of_world(path: Path) -> list[Look]:
         SceneError: The file holds no world.
     """
     from scenegen.draw.source import read_world
-    from scenegen.worlds.place import Place
+    from scenegen.worlds.place import Place, read_place
     from scenegen.worlds.world import World
 
-    world = read_world(path)
+    world = read_place(path, closed=True) if is_map(path) else read_world(path)
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
     if isinstance(world, Place):

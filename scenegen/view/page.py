@@ -81,7 +81,9 @@ def page(
     # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
-    content = {"title": title, "notes": notes, "samples": samples, "masks": masks, "film": film}
+    curves = looks[0].film if looks else None
+    content = {"title": title, "notes": notes, "samples": samples, "masks": masks}
+    content["film"] = film and (curves or True)
     return _filled(content, methods)
 
 
@@ -112,7 +114,7 @@ def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
         "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
         "THREE": _gzip64((HERE / "three" / "three.module.min.js").read_bytes()),
         "ORBIT": _gzip64((HERE / "three" / "OrbitControls.js").read_bytes()),
-        "SCRIPT": _text("page.js"),
+        "SCRIPT": _text("stage.js") + _text("page.js"),
         "DATA": data,
     }
     # split once, so that names of parts within the data are not replaced
@@ -146,6 +148,9 @@ def packed(look: Look) -> Json:
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
         optional |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
+    if look.classes is not None:
+        numbers, names = look.classes
+        optional["classes"] = {"names": names, "voxels": _gzip64(numbers.astype("<u2").tobytes())}
     if look.surfaces:
         optional |= packed_world(look.surfaces, look.origin)
     return {
@@ -156,6 +161,8 @@ def packed(look: Look) -> Json:
         "truncation": grid.truncation_m,
         "origin": look.origin.tolist(),
         "position": look.position.tolist(),
+        "quaternion": np.round(look.quaternion, 6).tolist(),
+        "fov": look.fov_deg,
         "heading": look.heading_deg(),
         "figures": look.figures(),
         "missing": list(look.missing),
@@ -190,9 +197,11 @@ def _packed_guess(guess: Guess, look: Look) -> Json:
     entry: Json = {"name": guess.name, "mask": _bits(guess.occupied)}
     if guess.tudf is not None:
         entry["tudf"] = _distances(guess.tudf, look.grid)
+    if guess.chance is not None:
+        entry["chance"] = _bytes(guess.chance)
     if (route := guess.route) is not None:
         ends = {"start": local(route.start), "goal": local(route.goal), "hit": local(route.hit)}
-        entry["route"] = {**ends, "points": local(route.points) or []}
+        entry["route"] = {**ends, "points": local(route.points) or [], "flown": route.flown}
     return entry
 
 
@@ -201,8 +210,12 @@ def _bits(mask: Mask) -> str:
 
 
 def _distances(tudf: Field, grid: GridSpec) -> str:
+    return _bytes(tudf / grid.truncation_m)
+
+
+def _bytes(shares: Field) -> str:
     # damaged distances may be NaN, which has no byte
-    shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
+    shares = np.nan_to_num(shares, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 
 
