@@ -99,10 +99,27 @@ def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequ
     live = {"datasets": datasets, "split": split, "index": index}
     title = datasets[0]["name"]
     content = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
-    return _filled(content, methods, "; connect-src 'self'")
+    return _filled(content, methods, FETCHES)
 
 
-def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
+def scan_page(title: str, fov_deg: Sequence[float]) -> str:
+    """Make the page of a running simulation, see `scenegen.view.live`.
+
+    Args:
+        title: Title of the page.
+        fov_deg: See `field_of_view`.
+    """
+    content = {"title": title, "notes": [], "stream": {"fov": fov_deg}}
+    return _filled(content, (), FETCHES, "live.js")
+
+
+FETCHES = "; connect-src 'self'"
+"""What a page that fetches from its server adds to the content security policy."""
+
+
+def _filled(
+    content: Json, methods: Sequence[str], policy: str = "", script: str = "page.js"
+) -> str:
     """Fill the template with the script's data; `policy` extends the content security policy."""
     colours = list(zip(methods, path_colours(methods), strict=True))
     # still JSON, but no text in it can end the <script> element that holds it
@@ -114,7 +131,7 @@ def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
         "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
         "THREE": _gzip64((HERE / "three" / "three.module.min.js").read_bytes()),
         "ORBIT": _gzip64((HERE / "three" / "OrbitControls.js").read_bytes()),
-        "SCRIPT": _text("stage.js") + _text("page.js"),
+        "SCRIPT": _text("stage.js") + _text(script),
         "DATA": data,
     }
     # split once, so that names of parts within the data are not replaced
@@ -310,6 +327,14 @@ class PageServer(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
+    def binary(self, path: str) -> bytes | None:
+        """Answer a request for bytes; None if there are none at this path, as on most pages.
+
+        Args:
+            path: Path of the address.
+        """
+        return None
+
     def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
         """Answer a request of the page for a part. This page has all its parts in it.
 
@@ -420,6 +445,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "scenegen", ""
     protocol_version = "HTTP/1.1"
     timeout = IDLE_S
+    disable_nagle_algorithm = True  # else an answer can wait 40 ms for the browser's receipt
 
     def do_GET(self) -> None:
         """Answer with the page, a sample or a world."""
@@ -434,6 +460,8 @@ class _Handler(BaseHTTPRequestHandler):
                 request[1], int(request[2]), request[3], int(request[4])
             )
             self._answer(status, "application/json", json.dumps(answer).encode())
+        elif (content := self.server.binary(self.path)) is not None:
+            self._answer(HTTPStatus.OK, "application/octet-stream", content)
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
 

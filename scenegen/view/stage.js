@@ -1,6 +1,6 @@
 "use strict";
 // What all pages share: the renderer, a camera that one turns, and means to build the panel.
-async function makeStage() {
+async function makeStage(quality) {
   const find = (id) => document.getElementById(id);
   const data = JSON.parse(find("data").textContent);
   const make = (tag, text) => Object.assign(document.createElement(tag), { textContent: text ?? "" });
@@ -33,7 +33,7 @@ async function makeStage() {
   const canvas = find("scene");
   let renderer;
   try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true, ...quality });
   } catch {
     note("This browser shows no WebGL, which the picture needs; names and statistics are shown all the same.");
   }
