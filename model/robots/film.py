@@ -157,7 +157,7 @@ def _film(simulation: Simulation, moments: list[_Moment]) -> Json:
     speeds = [np.linalg.norm(states[-1, VELOCITY]) for states in simulation.states]
     least = np.minimum.reduceat(simulation.clearances_m, firsts)
     times = [*(PERIOD_S * np.arange(len(lengths) - 1)), simulation.time_s]
-    curves = {"speed, m/s": speeds, "least clearance, m": least}
+    curves = {"speed, m/s": speeds, "least clearance (capped at 1 m), m": least}
     return {
         "times": [round(float(moment.seen["time_s"][0]), 3) for moment in moments],
         "at": np.round(times, 3).tolist(),
