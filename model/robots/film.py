@@ -11,7 +11,7 @@ from lidarsim import GridSpec
 from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
 from lidarsim.voxelization import sort_points
-from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
+from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
 from scenegen.fly import PERIOD_S
@@ -110,7 +110,7 @@ def looks_of_flight(
     origin = first * np.float64(grid.voxel_m)
     truth = course.simulated.truth(grid, origin)["occupancy"]
     moments, looks = list(_moments(course, number, simulation, robot, flown)), []
-    film = _film(simulation, moments) | {"ends": _ends(course, flights), "flight": number}
+    film = _film(simulation) | {"ends": _ends(course, flights), "flight": number}
     for moment in moments:
         seen = moment.seen
         position, hits = seen["position"], seen["points"][np.isfinite(seen["ranges"])]
@@ -133,7 +133,7 @@ def looks_of_flight(
         occupied = observed if moment.taken is None else moment.taken
         looks.append(
             Look(
-                name=f"{seen['time_s'][0]:.1f} s",
+                name=f"{seen['time_s'][0]:.2f} s",
                 grid=grid,
                 origin=origin,
                 position=position,
@@ -149,18 +149,15 @@ def looks_of_flight(
     return looks
 
 
-def _film(simulation: Simulation, moments: list[_Moment]) -> Json:
-    """Return the film's times of pictures, and curves with a value for each period, for the page's
-    script."""
-    lengths = [len(states) for states in simulation.states]
-    firsts = np.cumsum([0, *lengths[:-1]])
+def _film(simulation: Simulation) -> Json:
+    """Return the film's curves, with a value for each period, for the page's script."""
+    firsts = np.cumsum([0, *map(len, simulation.states[:-1])])
     speeds = [np.linalg.norm(states[-1, VELOCITY]) for states in simulation.states]
     least = np.minimum.reduceat(simulation.clearances_m, firsts)
-    times = [*(PERIOD_S * np.arange(len(lengths) - 1)), simulation.time_s]
-    curves = {"speed, m/s": speeds, "least clearance (capped at 1 m), m": least}
+    curves: Json = {"speed, m/s": speeds, "least clearance (capped at 1 m), m": least}
     return {
-        "times": [round(float(moment.seen["time_s"][0]), 3) for moment in moments],
-        "at": np.round(times, 3).tolist(),
+        "period_s": PERIOD_S,
+        "time_s": simulation.time_s,
         "curves": {name: np.round(values, 3).tolist() for name, values in curves.items()},
     }
 
@@ -203,30 +200,21 @@ def looks_of_recording(path: Path, number: int = 0) -> list[Look]:
         DatasetError: There is no such flight, or it differs from its recording.
         ScenegenError: The courses are not in this file or package.
     """
-    try:
-        recording = open_recording(path, "own", None)[0]
-    except DatasetError:
-        raise
-    except ScenegenError as error:
-        advice = f"scenegen fly replay {path} --hidden NUMBER or --maps FOLDER, with --film"
-        raise DatasetError(f"{str(error).partition(';')[0]}; to see it: {advice}") from None
-    counts = np.cumsum([len(flights) for _, flights in recording.courses]).tolist()
-    if not 0 <= number < counts[-1]:
-        raise DatasetError(f"{path}: has no flight {number}; expected --index below {counts[-1]}")
-    place = int(np.searchsorted(counts, number, side="right"))
-    course, flights = recording.courses[place]
-    notes = [f"flight {number} of {counts[-1]}; --index shows another"] * (counts[-1] > 1)
-    robot = None
-    with reraise_as(DatasetError, f"{path}: ", of=ScenegenError):
-        if maker := _known_robot(recording):
-            robot = maker(course)
-        else:
-            notes.append(
-                f"robot {recording.robot}: is not started for a file, so its map and plan are not "
-                f"shown; name it: scenegen fly replay {path} --robot or --weights, with --film"
-            )
-        own = number - counts[place] + len(flights)
-        looks = looks_of_flight(recording.robot, course, own, robot, flights)
+    recording = open_recording(path, "own", None)[0]
+    every = [
+        (course, flights, n) for course, flights in recording.courses for n in range(len(flights))
+    ]
+    if number >= len(every):
+        raise DatasetError(f"{path}: has no flight {number}; expected --index below {len(every)}")
+    course, flights, own = every[number]
+    notes = [f"flight {number} of {len(every)}; --index shows another"] * (len(every) > 1)
+    maker = _known_robot(recording)
+    if maker is None:
+        notes.append(
+            f"robot {recording.robot} is not started for a file, so its map and plan are not "
+            f"shown; name it: scenegen fly replay {path} --robot or --weights, with --film"
+        )
+    looks = looks_of_flight(recording.robot, course, own, maker and maker(course), flights)
     return [replace(looks[0], missing=tuple(notes)), *looks[1:]]
 
 

@@ -306,20 +306,17 @@ def check_type(path: str | PurePath, *expected: str) -> None:
         raise DatasetError(f"{path}: is of type {name} ({TYPES[name].form}), {hint}")
 
 
-def function_for(
-    path: str | PurePath, verb: Literal["opens", "facts", "draws", "shows"], name: str | None = None
-) -> Any:
+def function_for(path: str | PurePath, verb: Literal["opens", "facts", "draws", "shows"]) -> Any:
     """Import the function for a path's type.
 
     Args:
         path: The path.
         verb: Field of `PathType` that names the function.
-        name: The type, if it is known better than by the path.
 
     Raises:
         DatasetError: if the path has no type, or its type has no such function.
     """
-    name = name or what_is(path)
+    name = what_is(path)
     targets = {
         type_name: target for type_name in TYPES if (target := getattr(TYPES[type_name], verb))
     }

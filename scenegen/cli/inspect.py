@@ -295,20 +295,18 @@ def view(
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    name = "log" if log_reading["poses"] else type_of(dataset)
-    takes = {
-        "flights": {"number": indices[0]} if indices else {},
-        "scan": {"columns": columns},
-        "scans": {"columns": columns},
-        "log": log_reading | {"columns": columns},
-    }.get(name or "", {})
-    for flag in flags_given({"columns", *log_reading} - takes.keys()):
-        raise click.UsageError(f"{flag}: is for scans and logs; leave it out")
-    if name not in (None, *DATA):
-        indexed = ("indices",) * (name != "flights")
-        if flags := flags_given(("split", *indexed, "count", *predicting)):
-            raise click.UsageError(f"{flags[0]}: is for datasets; leave it out")
-        _show_path(dataset, name if log_reading["poses"] else None, takes, out, host, port, quiet)
+    name, reading = type_of(dataset), log_reading | {"columns": columns}
+    is_data = name in (None, *DATA)
+    options: Json = {"scan": {"columns": columns}, "scans": reading, "log": reading}.get(
+        name or "", {"number": indices[0]} if name == "flights" and indices else {}
+    )
+    others = reading.keys() - options.keys()
+    if not is_data:
+        others |= {"split", "count", *predicting, *["indices"] * (name != "flights")}
+    if flags := flags_given(others):
+        raise click.UsageError(f"{flags[0]}: is not for {name or 'datasets'}; leave it out")
+    if not is_data:
+        _show_path(dataset, options, out, host, port, quiet)
         return
     source = open_dataset(dataset, show_progress=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
@@ -335,15 +333,9 @@ def view(
 
 
 def _show_path(
-    path: Path | str,
-    name: str | None,
-    options: Json,
-    out: Path | None,
-    host: str,
-    port: int,
-    quiet: bool,
+    path: Path | str, options: Json, out: Path | None, host: str, port: int, quiet: bool
 ) -> None:
-    """Show anything but a dataset, of the type `name`: write its page, or serve it.
+    """Show anything but a dataset: write its page, or serve it.
 
     Raises:
         ScenegenError: The path cannot be shown, or the address cannot be served on.
@@ -351,7 +343,7 @@ def _show_path(
     from scenegen.view.notebook import page_of
     from scenegen.view.page import PageServer
 
-    page = page_of(str(path), name, **options)
+    page = page_of(str(path), **options)
     for line in dict.fromkeys(line for look in page.looks for line in look.missing):
         info(line)
     if out is None:

@@ -1,27 +1,30 @@
 """A sensor of a running simulation, shown in a browser while it runs."""
 
 import json
+import re
 import threading
 import webbrowser
 from collections.abc import Sequence
+from http import HTTPStatus
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from lidarsim.attachment import Attached
-from lidarsim.grid import Floats
-from lidarsim.parameters import short_repr
 from lidarsim.solids import ModelSolids
 from scenegen.base.errors import DatasetError
 from scenegen.view.look import field_of_view
-from scenegen.view.page import PageServer, packed_world, scan_page
+from scenegen.view.page import FETCHES, PageServer, Reply, filled, packed_world
 
+PLANE_M = 10.0
+"""Least reach of a plane that is drawn, metres."""
+SCAN = re.compile(r"/scan/(\d{1,15})", re.ASCII)
 WAIT_S = 5.0
 """How long a request waits for a new scan, seconds."""
 
 
-class LiveView:
+class LiveView(PageServer):
     """A page that shows the newest scan of a running simulation, and the solids where they are.
 
     The simulation never waits: scans are packed in the server's thread when the browser asks for
@@ -31,6 +34,9 @@ class LiveView:
             while True:
                 mujoco.mj_step(model, data, 20)
                 scans = viewer.update(data)
+
+    Attributes:
+        address: Address for the browser.
     """
 
     def __init__(
@@ -50,13 +56,13 @@ class LiveView:
         """
         if not isinstance(sensor, Attached):
             raise DatasetError(
-                f"view_live({short_repr(sensor)}): expected a sensor of a simulation, such as "
-                "lidarsim.attach(model, body)"
+                "view_live: expected a sensor of a simulation, such as lidarsim.attach(model, body)"
             )
-        self._server = _ScanServer(sensor, host, port)
-        self.address = self._server.address
-        """Address for the browser."""
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        content = {"title": "live", "notes": [], "stream": {"fov": field_of_view(sensor.sensor)}}
+        super().__init__(filled(content, (), FETCHES, "live.js"), host=host, port=port)
+        self.sensor, self._number = sensor, 0
+        self._newer = threading.Condition()
+        threading.Thread(target=self.serve_forever, daemon=True).start()
         if browser:
             webbrowser.open(self.address)
 
@@ -71,89 +77,75 @@ class LiveView:
         Returns:
             The scans.
         """
-        sensor = self._server.sensor
-        scans = sensor.scans(data) if scans is None else scans
-        poses = [[*pose.position, *pose.quaternion] for pose in sensor.poses(data)]
+        scans = self.sensor.scans(data) if scans is None else scans
+        poses = [[*pose.position, *pose.quaternion] for pose in self.sensor.poses(data)]
         # copied: the simulation goes on while the browser asks
         places = np.hstack([data.geom_xpos, data.geom_xmat]).astype("<f4")
-        self._server.publish(data, _Moment(float(data.time), scans, np.array(poses), places))
+        if not self._number:
+            self._solids = ModelSolids(self.sensor.model).at(data)
+        with self._newer:
+            self._moment = float(data.time), scans, np.array(poses), places
+            self._number += 1
+            self._newer.notify_all()
         return scans
 
     def close(self) -> None:
         """End the page."""
-        self._server.shutdown()
-        self._server.server_close()
-
-    def __enter__(self) -> "LiveView":
-        return self
+        self.shutdown()
+        self.server_close()
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
-
-class _Moment(SimpleNamespace):
-    """The simulation at a time."""
-
-    def __init__(self, time_s: float, scans: Sequence[Any], poses: Floats, places: Any):
-        super().__init__(time_s=time_s, scans=scans, poses=poses, places=places)
-
-    def packed(self, number: int) -> bytes:
-        """Return the length of the header, 4 bytes; the header, JSON; places of geoms (ngeom, 12),
-        float32; and returns around the first sensor (n, 4), int16: x, y, z, 32767 for the farthest, and 0."""
-        points = np.concatenate([scan.points() for scan in self.scans]) - self.poses[0, :3]
-        reach = float(np.abs(points).max(initial=1e-6))
-        heights = [0.0, 1.0]
-        if len(points):  # single far returns would make all others one colour
-            heights = (np.quantile(points[::16, 2], [0.02, 0.98]) + self.poses[0, 2]).tolist()
-        head = {"number": number, "time": self.time_s, "reach": reach, "heights": heights}
-        head |= {"points": len(points), "geoms": len(self.places), "sensors": self.poses.tolist()}
-        text = json.dumps(head).encode()
-        text += b" " * (-len(text) % 4)  # arrays begin at multiples of four bytes
-        # four numbers a point: graphics cards do not read three of two bytes
-        numbers = np.zeros((len(points), 4), "<i2")
-        numbers[:, :3] = np.rint(points * (32767 / reach))
-        return b"".join([len(text).to_bytes(4, "little"), text, self.places, numbers])
-
-
-class _ScanServer(PageServer):
-    """The server of the newest scan."""
-
-    def __init__(self, sensor: Attached, host: str, port: int):
-        page = scan_page("live", field_of_view(sensor.sensor))
-        super().__init__(page, host=host, port=port)
-        self.sensor, self._number, self._solids = sensor, 0, None
-        self._newer = threading.Condition()
-
-    def publish(self, data: Any, moment: _Moment) -> None:
-        if self._solids is None:
-            self._solids = ModelSolids(self.sensor.model).at(data)
-        with self._newer:
-            self._moment, self._number = moment, self._number + 1
-            self._newer.notify_all()
-
-    def binary(self, path: str) -> bytes | None:
-        """Answer /scan/N with the newest scan after number N, and /solids."""
-        if path == "/solids" and self._solids is not None:
-            return _solids(self._solids)
-        before = path.removeprefix("/scan/")
-        if before == path or not before.isascii() or not before.isdigit():
+    def reply(self, path: str) -> Reply | None:
+        """Answer /scan/N with the newest scan after number N, and /solids, see
+        `PageServer.reply`."""
+        content = b""
+        if path == "/solids" and self._number:
+            content = _packed_solids(self._solids)
+        elif request := SCAN.fullmatch(path):
+            with self._newer:
+                newer = self._newer.wait_for(lambda: self._number > int(request[1]), WAIT_S)
+                moment = (self._number, *self._moment) if newer else ()
+            content = _packed_scan(*moment) if moment else b""
+        else:
             return None
-        with self._newer:
-            if not self._newer.wait_for(lambda: self._number > int(before[:18]), WAIT_S):
-                return b""
-            moment, number = self._moment, self._number
-        return moment.packed(number)
+        return HTTPStatus.OK, "application/octet-stream", content
 
 
-def _solids(solids: Any) -> bytes:
+def _packed_scan(number: int, time_s: float, scans: Any, poses: Any, places: Any) -> bytes:
+    """Encode a scan: the length of the header, 4 bytes; the header, JSON; places of geoms
+    (ngeom, 12), float32; returns around the first sensor (n, 4), int16: x, y, z, 32767 for the
+    farthest, and 0."""
+    points = np.concatenate([scan.points() for scan in scans]) - poses[0, :3]
+    reach = float(np.abs(points).max(initial=1e-6))
+    # single far returns would make all others one colour
+    heights = np.quantile([*points[::16, 2], 0.0], [0.02, 0.98]) + poses[0, 2]
+    head = {
+        "number": number,
+        "time": time_s,
+        "reach": reach,
+        "heights": heights.tolist(),
+        "points": len(points),
+        "geoms": len(places),
+        "sensors": poses.tolist(),
+    }
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)  # arrays begin at multiples of four bytes
+    # four numbers a point: graphics cards do not read three of two bytes
+    numbers = np.zeros((len(points), 4), "<i2")
+    numbers[:, :3] = np.rint(points * (32767 / reach))
+    return len(text).to_bytes(4, "little") + text + places.tobytes() + numbers.tobytes()
+
+
+def _packed_solids(solids: Any) -> bytes:
     """Encode the surfaces of solids: all triangles, and how many numbers each geom has."""
     from scenegen.view.glb import surfaces
 
-    finite = solids.position[np.isfinite(solids.position).all(axis=1)]
-    meshes = surfaces(SimpleNamespace(solids=solids, flight_bounds=np.abs(finite) + 10.0))
-    geoms = [
-        [int(geom), mesh.triangles.size] for geom, mesh in zip(solids.geom, meshes, strict=True)
-    ]
+    near: Any = SimpleNamespace(solids=solids, flight_bounds=solids.position + PLANE_M)
+    meshes = surfaces(near)
+    sizes = [mesh.triangles.size for mesh in meshes]
+    geoms = list(zip(solids.geom.tolist(), sizes, strict=True))
     return json.dumps({"geoms": geoms} | packed_world(meshes, np.zeros(3))).encode()
 
 

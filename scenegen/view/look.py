@@ -20,8 +20,6 @@ from scenegen.draw.sample import Sample
 from scenegen.draw.scored import certain_distances, scored_voxels
 
 MASKS = ("observed", "free", "occupancy")
-FULL_DEG = 20.0
-"""A sensor whose azimuths have no wider gap sees all around."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,7 +89,7 @@ class Look:
     """Predictions of its map."""
     surfaces: Sequence[Any] = ()
     """Meshes of solids with `triangles` (n, 3, 3), metres in the world."""
-    fov_deg: tuple[float, ...] | None = None
+    fov_deg: Sequence[float] | None = None
     """See `field_of_view`; None if the sensor is not known."""
     classes: tuple[NDArray[np.uint16], tuple[str, ...]] | None = None
     """True class of each voxel, of the grid's shape, and names of classes; None if unlabelled."""
@@ -165,32 +163,21 @@ class Look:
         scored = np.ones(truth.shape, bool) if self.scored is None else self.scored
         return f"IoU {iou(truth & scored, guess.occupied & scored):.3f}"
 
-    def heading_deg(self) -> float:
-        """Return the yaw of the body, degrees counter-clockwise from x."""
-        # rounded, so that pages are the same on every processor
-        w, x, y, z = self.quaternion
-        return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
 
-
-def field_of_view(sensor: Sensor) -> tuple[float, ...]:
+def field_of_view(sensor: Sensor) -> list[float]:
     """Return the directions between which a sensor's rays lie in the frame of its body, degrees.
 
     Args:
         sensor: The sensor.
 
     Returns:
-        First and last azimuth, counter-clockwise, and least and greatest elevation.
+        Least and greatest azimuth, counter-clockwise from forward, and least and greatest
+        elevation.
     """
     x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
-    azimuths = np.sort(np.degrees(np.arctan2(y, x)).ravel())
-    # the widest gap is what it does not see
-    gaps = np.diff(azimuths, append=azimuths[0] + 360.0)
-    last = int(np.argmax(gaps))
-    first = azimuths[(last + 1) % len(azimuths)]
-    span = 360.0 if gaps[last] < FULL_DEG else 360.0 - gaps[last]
-    heights = np.degrees(np.arcsin(np.clip(z, -1, 1)))
-    edges = (first, first + span, heights.min(), heights.max())
-    return tuple(round(float(edge), 2) for edge in edges)
+    azimuth, elevation = np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))
+    edges = [azimuth.min(), azimuth.max(), elevation.min(), elevation.max()]
+    return np.degrees(edges).round(2).tolist()
 
 
 def look_at(

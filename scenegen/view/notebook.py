@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -116,13 +116,8 @@ def show(
             return _open(page_of(name), out)
         looks = function_for(name, "shows")(locate(name))
     else:
-        several = [samples] if isinstance(samples, Sample) else samples
-        if not isinstance(several, Sequence) or not all(isinstance(one, Sample) for one in several):
-            raise DatasetError(
-                f"show({short_repr(samples)}): expected a sample, a list of samples, or a path; of "
-                "a sensor in a simulation, see scenegen.view_live"
-            )
-        looks = [_look(sample, grid or sample.grid, lidar) for sample in several]
+        several: Any = samples if isinstance(samples, Iterable) else [samples]
+        looks = [_look(sample, grid, lidar) for sample in several]
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
     looks[0] = _with_guesses(looks[0], prediction, path)
@@ -131,25 +126,23 @@ def show(
     return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
 
 
-def page_of(name: str, known_type: str | None = None, **options: Any) -> Shown:
+def page_of(name: str, **options: Any) -> Shown:
     """Make the page of whatever a path is.
 
     Args:
         name: A path of a type in `TYPES` that can be shown or drawn.
-        known_type: The type, if it is known better than by the path.
         options: Arguments of the function that shows this type.
 
     Raises:
         DatasetError: The path does not exist, or has no type, or one that cannot be shown.
     """
-    path_type = TYPES[known_type or what_is(name)]
-    if known_type is None:
-        check_type(name, *(known for known, kind in TYPES.items() if kind.shows or kind.draws))
+    path_type = TYPES[what_is(name)]
+    check_type(name, *(known for known, kind in TYPES.items() if kind.shows or kind.draws))
     if not path_type.shows:
         figure = function_for(name, "draws")(Path(name))
         title = f"<title>{html.escape(name)}</title>"
         return Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
-    looks = function_for(name, "shows", known_type)(locate(name), **options)
+    looks = function_for(name, "shows")(locate(name), **options)
     notes = [line for look in looks for line in look.missing]
     content = page(looks, title=Path(name).name, notes=notes, film=path_type.film)
     drawn = path_type.draws and not looks[0].guesses
@@ -158,7 +151,12 @@ def page_of(name: str, known_type: str | None = None, **options: Any) -> Shown:
 
 
 def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:
-    if grid is None:
+    if not isinstance(sample, Sample):
+        raise DatasetError(
+            f"show({short_repr(sample)}): expected a sample, several, or a path; for a sensor in a "
+            "simulation, see scenegen.view_live"
+        )
+    if (grid := grid or sample.grid) is None:
         raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
     return look_at(sample, grid, lidar, f"world {sample.world}, viewpoint {sample.viewpoint}")
 
@@ -186,7 +184,7 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         # another name may be of a scan or of weights, which a page would replace
-        name = os.fspath(out) if isinstance(out, str | os.PathLike) else short_repr(out)
+        name = str(out)
         if "://" in name or not name.endswith(".html"):
             raise DatasetError(f"{name}: expected a file on this machine that ends in .html")
         write_result(Path(out), result.html.encode())

@@ -15,7 +15,9 @@ from lidarsim.grid import MAX_EDGE, Floats, GridSpec, Mask
 from lidarsim.pose import rotate
 from lidarsim.voxelization import sort_points
 from scenegen.base.errors import DatasetError
+from scenegen.base.limits import MAX_ASSET_BYTES
 from scenegen.base.paths import is_map
+from scenegen.base.reading import read_bounded
 from scenegen.view.look import Look, evenly
 
 MAX_POINTS = 150_000
@@ -79,17 +81,22 @@ def looks_of_scan(path: Path, columns: int | None = None) -> list[Look]:
     ]
 
 
-def looks_of_scans(folder: Path, columns: int | None = None) -> list[Look]:
-    """Read scans of a folder, each in the frame of its sensor, in the order of their names.
+def looks_of_scans(folder: Path, columns: int | None = None, **reading: Any) -> list[Look]:
+    """Read scans of a folder, each in the frame of its sensor, in the order of their names; with
+    `poses`, see `looks_of_log`.
 
     Args:
         folder: A folder with point clouds; of more than `MAX_FRAMES`, some evenly spread.
         columns: See `scenegen.worlds.clouds.read_cloud`.
+        reading: Arguments of `read_log`.
 
     Raises:
         DatasetError: A file cannot be read, or has no returns.
     """
     from scenegen.worlds.clouds import scans_in
+
+    if reading.get("poses"):
+        return looks_of_log(folder, columns=columns, **reading)
 
     paths = scans_in(folder)
     chosen = evenly(len(paths), MAX_FRAMES)
@@ -155,10 +162,12 @@ def looks_of_world(path: Path) -> list[Look]:
         SceneError: The file holds no world.
     """
     from scenegen.draw.source import read_world
-    from scenegen.worlds.place import Place, read_place
+    from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
-    world = read_place(path, closed=True) if is_map(path) else read_world(path)
+    # a map in which no sensor can be is a map to look at
+    shown = Place(str(path), read_bounded(path, MAX_ASSET_BYTES)) if is_map(path) else None
+    world = shown or read_world(path)
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
     if isinstance(world, Place):

@@ -300,6 +300,7 @@
     return new THREE.Mesh(plane, new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }));
   }
 
+  const headingOf = ([w, x, y, z]) => Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), heading = () => headingOf(sample.quaternion);
   const large = () => sample.voxel * Math.max(0.02 * Math.max(...sample.shape), 0.5); // of a ball that one should see
 
   function routes() {
@@ -594,7 +595,7 @@
       sample: sample.name,
       ...(sample.sensor && {
         position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
-        heading: `${sample.heading.toFixed(1)}°`,
+        heading: `${(heading() * 180 / Math.PI).toFixed(1)}°`,
       }),
       grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,
       ...sample.figures,
@@ -706,7 +707,7 @@
   function now() {
     if (!data.film || !sample) return;
     const how = find("camera").value;
-    if (how !== "free") follow(fields.sensor, sample.heading * Math.PI / 180, how, 4, playing ? 200 : 1);
+    if (how !== "free") follow(fields.sensor, heading(), how, 4, playing ? 200 : 1);
     if (film) cursors.forEach((at) => at(film.times[current]));
   }
   function curve(name, values) {
@@ -737,6 +738,8 @@
     find("curves").append(words, box);
   }
   if (film) {
+    film.times = data.samples.map((one) => parseFloat(one.name));
+    film.at = Object.values(film.curves)[0].map((_, n) => Math.min(n * film.period_s, film.time_s));
     Object.entries(film.curves).forEach(([name, values]) => curve(name, values));
     const others = film.ends.filter((_, n) => n !== film.flight), list = make("details");
     find("curves").append(Object.assign(make("p", film.ends[film.flight].text), { id: "outcome" }));

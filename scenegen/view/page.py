@@ -81,10 +81,9 @@ def page(
     # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
-    curves = looks[0].film if looks else None
-    content = {"title": title, "notes": notes, "samples": samples, "masks": masks}
-    content["film"] = film and (curves or True)
-    return _filled(content, methods)
+    content: Json = {"title": title, "notes": notes, "samples": samples, "masks": masks}
+    content["film"] = film and (looks[0].film or True)
+    return filled(content, methods)
 
 
 def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequence[str]) -> str:
@@ -99,28 +98,22 @@ def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequ
     live = {"datasets": datasets, "split": split, "index": index}
     title = datasets[0]["name"]
     content = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
-    return _filled(content, methods, FETCHES)
-
-
-def scan_page(title: str, fov_deg: Sequence[float]) -> str:
-    """Make the page of a running simulation, see `scenegen.view.live`.
-
-    Args:
-        title: Title of the page.
-        fov_deg: See `field_of_view`.
-    """
-    content = {"title": title, "notes": [], "stream": {"fov": fov_deg}}
-    return _filled(content, (), FETCHES, "live.js")
+    return filled(content, methods, FETCHES)
 
 
 FETCHES = "; connect-src 'self'"
 """What a page that fetches from its server adds to the content security policy."""
 
 
-def _filled(
-    content: Json, methods: Sequence[str], policy: str = "", script: str = "page.js"
-) -> str:
-    """Fill the template with the script's data; `policy` extends the content security policy."""
+def filled(content: Json, methods: Sequence[str], policy: str = "", script: str = "page.js") -> str:
+    """Fill the template.
+
+    Args:
+        content: Data for the script: `title`, `notes`, and what it shows.
+        methods: Names of the methods that predict.
+        policy: Extends the content security policy.
+        script: File of the script.
+    """
     colours = list(zip(methods, path_colours(methods), strict=True))
     # still JSON, but no text in it can end the <script> element that holds it
     data = json.dumps({"colours": ON_PAGE, "methods": colours, **content}).replace("<", "\\u003c")
@@ -180,7 +173,6 @@ def packed(look: Look) -> Json:
         "position": look.position.tolist(),
         "quaternion": np.round(look.quaternion, 6).tolist(),
         "fov": look.fov_deg,
-        "heading": look.heading_deg(),
         "figures": look.figures(),
         "missing": list(look.missing),
         "masks": {name: _bits(mask) for name, mask in look.masks.items()},
@@ -259,6 +251,10 @@ SAFE = {
 """Headers of every answer, so that no other site can frame or read it."""
 
 
+Reply = tuple[HTTPStatus, str, bytes]
+"""Status, media type and content of an answer."""
+
+
 class PageServer(ThreadingHTTPServer):
     """The server of one page, which holds what it shows."""
 
@@ -327,27 +323,14 @@ class PageServer(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def binary(self, path: str) -> bytes | None:
-        """Answer a request for bytes; None if there are none at this path, as on most pages.
+    def reply(self, path: str) -> Reply | None:
+        """Answer a request of the page for a part; None if there is none at this path. This page
+        has all its parts in it.
 
         Args:
             path: Path of the address.
         """
         return None
-
-    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """Answer a request of the page for a part. This page has all its parts in it.
-
-        Args:
-            kind: "sample" or "world".
-            number: Number of the dataset.
-            split: Name of the split.
-            index: Index of the sample in the split.
-
-        Returns:
-            Status, and a line in `error`.
-        """
-        return HTTPStatus.NOT_FOUND, {"error": "no such part"}
 
 
 class Live(PageServer):
@@ -400,18 +383,15 @@ class Live(PageServer):
         super().server_close()
         self._reading.acquire()
 
-    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """Answer a request of the page.
+    def reply(self, path: str) -> Reply | None:
+        """Answer with a sample or its world as JSON, or a line in `error`, see
+        `PageServer.reply`."""
+        if (request := REQUEST.fullmatch(path)) is None:
+            return None
+        status, answer = self._answer(request[1], int(request[2]), request[3], int(request[4]))
+        return status, "application/json", json.dumps(answer).encode()
 
-        Args:
-            kind: "sample" or "world".
-            number: Number of the dataset.
-            split: Name of the split.
-            index: Index of the sample in the split.
-
-        Returns:
-            Status, and the sample or its world, or a line in `error`.
-        """
+    def _answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
         if number >= len(self.datasets):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
         samples = self.datasets[number].split(split)
@@ -455,13 +435,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal)
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
-        elif request := REQUEST.fullmatch(self.path):
-            status, answer = self.server.answer(
-                request[1], int(request[2]), request[3], int(request[4])
-            )
-            self._answer(status, "application/json", json.dumps(answer).encode())
-        elif (content := self.server.binary(self.path)) is not None:
-            self._answer(HTTPStatus.OK, "application/octet-stream", content)
+        elif reply := self.server.reply(self.path):
+            self._answer(*reply)
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
 

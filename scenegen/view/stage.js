@@ -77,7 +77,7 @@ async function makeStage(quality) {
     all.add(ball([0, 0, 0], 0.08 * long, data.colours.sensor), new THREE.Mesh(nose, new THREE.MeshLambertMaterial({ color: rgb(data.colours.sensor) })));
     const ends = [0, 0, 0, 0, 0, 0.4 * long]; // upwards
     if (fov) {
-      const [from, to, low, high] = fov.map((one) => one * Math.PI / 180), steps = 48, round = to - from > 6.28;
+      const [from, to, low, high] = fov.map((one) => one * Math.PI / 180), steps = 48, round = to - from > 6;
       const way = (azimuth, height) => [Math.cos(height) * Math.cos(azimuth), Math.cos(height) * Math.sin(azimuth), Math.sin(height)].map((one) => one * long);
       for (const height of [low, high]) for (let n = 0; n <= steps; n++) {
         const azimuth = from + ((to - from) * n) / steps;

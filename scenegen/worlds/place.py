@@ -279,13 +279,12 @@ class Place:
         return self.caster(None).cross(start, rays, reach)[1][0]
 
 
-def read_place(path: str | Path, *, closed: bool = False) -> Place:
+def read_place(path: str | Path) -> Place:
     """Read a map file.
 
     Args:
         path: OctoMap's `.bt` and `.ot`, or an `.npz` of `states`, `voxel_m` and `origin`, as in
             `VoxelMap`.
-        closed: See `place_of`.
 
     Returns:
         The place.
@@ -294,18 +293,16 @@ def read_place(path: str | Path, *, closed: bool = False) -> Place:
         SceneError: If the file holds no map, or one without free space.
     """
     path = Path(path)
-    content = read_bounded(path, MAX_ASSET_BYTES)
-    return place_of(content, path.suffix, str(path), closed=closed)
+    return place_of(read_bounded(path, MAX_ASSET_BYTES), path.suffix, str(path))
 
 
-def place_of(content: bytes, suffix: str, where: str, *, closed: bool = False) -> Place:
+def place_of(content: bytes, suffix: str, where: str) -> Place:
     """Make the place of a map file's content.
 
     Args:
         content: The file's bytes.
         suffix: Its type, with the dot.
         where: Its name, for messages.
-        closed: Whether a map without free space is taken, too, which only viewers can use.
 
     Returns:
         The place.
@@ -320,7 +317,7 @@ def place_of(content: bytes, suffix: str, where: str, *, closed: bool = False) -
     except SceneError as error:
         # the parser names the archive's file, the user knows another
         raise SceneError(str(error).replace(place.name, where, 1)) from None
-    if (bounds[0] == bounds[1]).all() and not closed:
+    if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
     return place
 
