@@ -302,8 +302,9 @@ def _completion(path: Path) -> Look:
             if math.prod(shape) > MAX_VOXELS or not np.isfinite(origin).all():
                 raise ValueError("no map")
             maps = {name: np.asarray(file[name]) for name in names}
-            with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
-                check_digest(file, list(file))
+            if DIGEST in file.attrs:
+                with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
+                    check_digest(file, list(file))
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
         prediction = check_prediction(Prediction(**parts), shape, str(path))

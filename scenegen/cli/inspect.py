@@ -304,7 +304,7 @@ def view(
     if not is_data:
         others |= {"split", "count", *predicting, *["indices"] * (name != "flights")}
     if flags := flags_given(others):
-        raise click.UsageError(f"{flags[0]}: is not for {name or 'datasets'}; leave it out")
+        raise click.UsageError(f"{flags[0]}: is not for the type {name or 'dataset'}; leave it out")
     if not is_data:
         _show_path(dataset, options, out, host, port, quiet)
         return

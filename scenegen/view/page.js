@@ -8,7 +8,7 @@
     asked = true;
     requestAnimationFrame(() => {
       asked = false;
-      const wide = Math.floor(canvas.clientWidth / views());
+      const wide = 2 * Math.floor(canvas.clientWidth / views() / 2); // even: edges are shaded by pairs of pixels
       for (let n = 0; n < views(); n++) {
         for (const [name, made] of Object.entries(layers)) made.visible = shows(n, name);
         renderer.setViewport(n * wide, 0, wide, canvas.clientHeight);
