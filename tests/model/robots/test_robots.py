@@ -199,7 +199,7 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
 
 @pytest.fixture
 def recorded(tmp_path):
-    """A recording of a flight that hits something at once, and its file."""
+    """Writes a recording of a flight along x; the flight and the file."""
     course = Course(world="pillar", seed=4, flights=1, rules=Rules(apart_m=4.0))
 
     def write(**changes):
@@ -214,13 +214,13 @@ def recorded(tmp_path):
 
 
 class Straight:
-    """Flies up, out of the bounds."""
+    """Flies along x."""
 
     def reset(self, about):
         pass
 
     def act(self, seen):
-        return [2.0, 0.0, 0.0, 0.0]
+        return [1.5, 0.0, 0.0, 0.0]
 
 
 def test_a_recorded_robot_is_not_started(recorded):
@@ -240,7 +240,7 @@ def test_a_recorded_map_is_shown(recorded):
 
 def test_a_changed_flight_is_not_shown(recorded, capsys):
     _, file = recorded()
-    file.write_text(file.read_text().replace("[2.0, 0.0", "[1.5, 0.0", 1))
+    file.write_text(file.read_text().replace("[1.5, 0.0", "[-1.5, 0.0", 1))
     refuses_command(capsys, f"view {file} -o {file}.html")
     refuses_command(capsys, f"view {file} --index 3 -o {file}.html")
 
