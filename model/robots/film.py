@@ -24,7 +24,6 @@ from scenegen.model.robots import FORGETFUL, NAMES
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route, field_of_view
-from scenegen.view.page import page
 
 PERIODS_PER_PICTURE = 3
 """Periods from picture to picture, at least."""
@@ -79,10 +78,10 @@ def _moments(
     if moment is None:
         raise DatasetError(f"the flight ended before it began: {flown.trouble}")
     compared(course, number, simulation, flown, count)
-    end, time_s = simulation.state[POSITION], np.array([simulation.time_s])
+    end = simulation.state[POSITION]
     # the robot decides no more at the end: its last map and plan stand
-    at_end = moment.seen | {"position": end, "time_s": time_s}
-    yield moment._replace(seen=at_end, way=np.array([*way, end]))
+    seen = moment.seen | {"position": end, "time_s": np.array([simulation.time_s])}
+    yield moment._replace(seen=seen, way=np.array([*way, end]))
 
 
 def looks_of_flight(
@@ -105,7 +104,7 @@ def looks_of_flight(
     """
     # the grid of the whole flight: all pictures are of the same voxels
     simulation, flown = course.simulation(number), flights[number]
-    mission, sensor = simulation.mission, simulation.sensor
+    mission = simulation.mission
     grid, first = within(mission.bounds, getattr(robot, "grid", GridSpec()))
     origin = first * np.float64(grid.voxel_m)
     truth = course.simulated.truth(grid, origin)["occupancy"]
@@ -141,7 +140,7 @@ def looks_of_flight(
                 masks={"occupancy": truth, "observed": observed},
                 scans=[returns],
                 rays=seen["ranges"].size,
-                fov_deg=field_of_view(sensor),
+                fov_deg=field_of_view(simulation.sensor),
                 guesses=(Guess(name=name, occupied=occupied, tudf=None, route=route),),
                 film=film,
             )
@@ -172,18 +171,9 @@ def _ends(course: Course, flights: Sequence[Flown]) -> list[Json]:
             for _ in flown_again(simulation, flown, blind=True):
                 pass
             end["hit"] = simulation.state[POSITION].tolist()
-            end["text"] += " at " + ", ".join(f"{value:.2f}" for value in end["hit"]) + " m"
+            end["text"] += " at {:.2f}, {:.2f}, {:.2f} m".format(*end["hit"])
         ends.append(end)
     return ends
-
-
-def flight_page(
-    name: str, course: Course, number: int, robot: Any, flights: Sequence[Flown]
-) -> bytes:
-    """Write an HTML page that plays a flight in three dimensions, five pictures a second; for the
-    arguments see `looks_of_flight`."""
-    looks = looks_of_flight(name, course, number, robot, flights)
-    return page(looks, title=f"{name} in {course.world}", film=True).encode()
 
 
 def looks_of_recording(path: Path, number: int = 0) -> list[Look]:

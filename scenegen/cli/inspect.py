@@ -297,9 +297,12 @@ def view(
         )
     name, reading = type_of(dataset), log_reading | {"columns": columns}
     is_data = name in (None, *DATA)
-    options: Json = {"scan": {"columns": columns}, "scans": reading, "log": reading}.get(
-        name or "", {"number": indices[0]} if name == "flights" and indices else {}
-    )
+    options: Json = {
+        "scan": {"columns": columns},
+        "scans": reading,
+        "log": reading,
+        "flights": {"number": (*indices, 0)[0]},
+    }.get(name or "", {})
     others = reading.keys() - options.keys()
     if not is_data:
         others |= {"split", "count", *predicting, *["indices"] * (name != "flights")}

@@ -42,13 +42,14 @@
   // The solids as they were at the first scan; each then moves with its geom.
   const began = new Map();
   async function loadSolids() {
-    const { geoms, triangles } = await (await fetch("solids")).json();
+    const { geoms, sizes, triangles } = await (await fetch("solids")).json();
     const packed = Uint8Array.from(atob(triangles), (char) => char.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
     const corners = new Float32Array(await new Response(stream).arrayBuffer());
     const grey = rgb([150, 156, 164]);
     let first = 0;
-    for (const [geom, count] of geoms) {
+    geoms.forEach((geom, place) => {
+      const count = sizes[place];
       // lit once, here: light at every pixel costs a software renderer most of its time
       const shape = surface(corners.slice(first, first + count), () => grey), { normal, color } = shape.attributes;
       for (let n = 0; n < count / 3; n++) {
@@ -59,7 +60,8 @@
       const mesh = new THREE.Mesh(shape, new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, opacity: 0.6, depthWrite: false }));
       mesh.matrixAutoUpdate = false;
       bodies.add(Object.assign(mesh, { userData: { geom } }));
-    }
+    });
+    turned = true;
   }
   const matrixOf = (row) => new THREE.Matrix4().set(row[3], row[4], row[5], row[0], row[6], row[7], row[8], row[1], row[9], row[10], row[11], row[2], 0, 0, 0, 1);
   function moveSolids(places) {

@@ -89,13 +89,12 @@ class LiveView(PageServer):
             self._newer.notify_all()
         return scans
 
-    def close(self) -> None:
+    def close(self, *error: object) -> None:
         """End the page."""
         self.shutdown()
         self.server_close()
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    __exit__ = close
 
     def reply(self, path: str) -> Reply | None:
         """Answer /scan/N with the newest scan after number N, and /solids, see
@@ -145,8 +144,8 @@ def _packed_solids(solids: Any) -> bytes:
     near: Any = SimpleNamespace(solids=solids, flight_bounds=solids.position + PLANE_M)
     meshes = surfaces(near)
     sizes = [mesh.triangles.size for mesh in meshes]
-    geoms = list(zip(solids.geom.tolist(), sizes, strict=True))
-    return json.dumps({"geoms": geoms} | packed_world(meshes, np.zeros(3))).encode()
+    facts = {"geoms": solids.geom.tolist(), "sizes": sizes}
+    return json.dumps(facts | packed_world(meshes, np.zeros(3))).encode()
 
 
 view_live = LiveView

@@ -166,8 +166,8 @@ def looks_of_world(path: Path) -> list[Look]:
     from scenegen.worlds.world import World
 
     # a map in which no sensor can be is a map to look at
-    shown = Place(str(path), read_bounded(path, MAX_ASSET_BYTES)) if is_map(path) else None
-    world = shown or read_world(path)
+    mapped = is_map(path) and Place(str(path), read_bounded(path, MAX_ASSET_BYTES))
+    world = mapped or read_world(path)
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
     if isinstance(world, Place):

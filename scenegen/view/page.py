@@ -81,8 +81,8 @@ def page(
     # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
-    content: Json = {"title": title, "notes": notes, "samples": samples, "masks": masks}
-    content["film"] = film and (looks[0].film or True)
+    curves: Any = film and (looks[0].film or True)
+    content = {"title": title, "notes": notes, "samples": samples, "masks": masks, "film": curves}
     return filled(content, methods)
 
 
