@@ -19,7 +19,7 @@ from scenegen.view.page import FETCHES, PageServer, Reply, filled, packed_world
 
 PLANE_M = 10.0
 """Least reach of a plane that is drawn, metres."""
-SCAN = re.compile(r"/scan/(\d{1,15})", re.ASCII)
+SCAN = re.compile(r"/scan/([0-9]{1,15})")
 WAIT_S = 5.0
 """How long a request waits for a new scan, seconds."""
 
