@@ -16,7 +16,9 @@
   // Points come as 16-bit numbers around the first sensor, and stay so: the shader scales and colours
   // them by their height, so that a scan costs the page no loop over its points.
   const tints = data.colours.heights.map((one) => rgb(one)), span = { value: new THREE.Vector2(0, 1) };
-  const material = new THREE.PointsMaterial({ size: 1.5, sizeAttenuation: false });
+  const gl = renderer.getContext(), info = gl.getExtension("WEBGL_debug_renderer_info");
+  const slow = info && /swiftshader|llvmpipe/i.test(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)); // no graphics card
+  const material = new THREE.PointsMaterial({ size: slow ? 1 : 2, sizeAttenuation: false });
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, { span, tints: { value: tints } });
     const count = tints.length;
@@ -125,7 +127,7 @@
     return head;
   }
 
-  let head = null, fresh = false, turned = true;
+  let head = null, fresh = false, turned = true, told = 0;
   controls.addEventListener("change", () => { turned = true; });
   function frame() {
     requestAnimationFrame(frame);
@@ -138,6 +140,8 @@
     while (drawnAt[0] < performance.now() - 2000) drawnAt.shift();
     document.body.dataset.frames = +document.body.dataset.frames + 1;
     document.body.dataset.points = head.points;
+    if (performance.now() - told < 250) return; // a panel that changes with every picture costs as much as points
+    told = performance.now();
     const rate = drawnAt.length > 1 ? (1000 * (drawnAt.length - 1)) / (drawnAt.at(-1) - drawnAt[0]) : 0;
     const rows = {
       time: `${head.time.toFixed(2)} s`, scan: head.number, returns: head.points, "drawn a second": rate.toFixed(1),
