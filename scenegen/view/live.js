@@ -18,7 +18,7 @@
   const tints = data.colours.heights.map((one) => rgb(one)), span = { value: new THREE.Vector2(0, 1) };
   const gl = renderer.getContext(), info = gl.getExtension("WEBGL_debug_renderer_info");
   const slow = info && /swiftshader|llvmpipe/i.test(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)); // no graphics card
-  const material = new THREE.PointsMaterial({ size: slow ? 1 : 2, sizeAttenuation: false });
+  const material = new THREE.PointsMaterial({ size: slow ? 1 : 2, sizeAttenuation: false, transparent: true }); // drawn after the solids, which would veil them
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, { span, tints: { value: tints } });
     const count = tints.length;
@@ -31,6 +31,7 @@
   };
   const cloud = new THREE.Points(new THREE.BufferGeometry(), material);
   cloud.frustumCulled = false;
+  cloud.renderOrder = 1;
   const sensors = new THREE.Group(), bodies = new THREE.Group(), MAX_TRAIL = 2000;
   let trail = 0;
   const line = new THREE.Line(new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * MAX_TRAIL), 3)), new THREE.LineBasicMaterial({ color: rgb(data.colours.sensor) }));
@@ -44,7 +45,7 @@
   // The solids as they were at the first scan; each then moves with its geom.
   const began = new Map();
   async function loadSolids() {
-    const { geoms, sizes, triangles } = await (await fetch("solids")).json();
+    const { geoms, sizes, places, triangles } = await (await fetch("solids")).json();
     const packed = Uint8Array.from(atob(triangles), (char) => char.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
     const corners = new Float32Array(await new Response(stream).arrayBuffer());
@@ -61,6 +62,7 @@
       first += count;
       const mesh = new THREE.Mesh(shape, new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, opacity: 0.6, depthWrite: false }));
       mesh.matrixAutoUpdate = false;
+      began.set(mesh, matrixOf(places[geom]).invert());
       bodies.add(Object.assign(mesh, { userData: { geom } }));
     });
     turned = true;
@@ -68,9 +70,8 @@
   const matrixOf = (row) => new THREE.Matrix4().set(row[3], row[4], row[5], row[0], row[6], row[7], row[8], row[1], row[9], row[10], row[11], row[2], 0, 0, 0, 1);
   function moveSolids(places) {
     for (const mesh of bodies.children) {
-      const { geom } = mesh.userData, now = matrixOf(places.subarray(12 * geom, 12 * geom + 12));
-      if (!began.has(mesh)) began.set(mesh, now.clone().invert());
-      mesh.matrix.multiplyMatrices(now, began.get(mesh));
+      const { geom } = mesh.userData;
+      mesh.matrix.multiplyMatrices(matrixOf(places.subarray(12 * geom, 12 * geom + 12)), began.get(mesh));
     }
   }
 
@@ -79,8 +80,9 @@
   function take(buffer) {
     const length = new DataView(buffer).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-    const places = new Float32Array(buffer, 4 + length, 12 * head.geoms);
-    const points = new Int16Array(buffer, 4 + length + 48 * head.geoms, 4 * head.points);
+    const end = buffer.byteLength - 8 * head.points; // of the places of geoms
+    const places = new Float32Array(buffer, 4 + length, (end - 4 - length) / 4);
+    const points = new Int16Array(buffer, end, 4 * head.points);
     if (head.points > capacity) { // buffers grow, and are used again
       capacity = Math.ceil(1.2 * head.points);
       cloud.geometry.dispose();
@@ -117,7 +119,7 @@
     line.geometry.setDrawRange(0, trail);
     const [w, x, y, z] = first.slice(3), heading = Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
     const how = find("camera").value, far = Math.min(Math.max(0.4 * head.reach, 3), 12);
-    if (how !== "free") follow(place, heading, how, far, 80);
+    if (how !== "free") follow(place, heading, how, far, slow ? 1 : 80);
     else if (!placed) {
       camera.position.set(place[0] - 0.8 * head.reach, place[1] - 1.2 * head.reach, place[2] + 0.9 * head.reach);
       controls.target.set(...place);
@@ -127,10 +129,11 @@
     return head;
   }
 
-  let head = null, fresh = false, turned = true, told = 0;
+  let head = null, fresh = false, turned = true, told = { number: 0, again: 0 };
   controls.addEventListener("change", () => { turned = true; });
   function frame() {
     requestAnimationFrame(frame);
+    if (head && told.number !== head.number && performance.now() > told.again) tell();
     if (!fresh && !turned) return;
     turned = false;
     renderer.render(scene, camera);
@@ -140,8 +143,10 @@
     while (drawnAt[0] < performance.now() - 2000) drawnAt.shift();
     document.body.dataset.frames = +document.body.dataset.frames + 1;
     document.body.dataset.points = head.points;
-    if (performance.now() - told < 250) return; // a panel that changes with every picture costs as much as points
-    told = performance.now();
+  }
+  // A panel that changes with every picture would cost a slow machine as much as the points.
+  function tell() {
+    told = { number: head.number, again: performance.now() + 250 };
     const rate = drawnAt.length > 1 ? (1000 * (drawnAt.length - 1)) / (drawnAt.at(-1) - drawnAt[0]) : 0;
     const rows = {
       time: `${head.time.toFixed(2)} s`, scan: head.number, returns: head.points, "drawn a second": rate.toFixed(1),

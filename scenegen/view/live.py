@@ -77,14 +77,14 @@ class LiveView(PageServer):
         Returns:
             The scans.
         """
-        scans = self.sensor.scans(data) if scans is None else scans
+        scans = scans or self.sensor.scans(data)
         poses = [[*pose.position, *pose.quaternion] for pose in self.sensor.poses(data)]
         # copied: the simulation goes on while the browser asks
         places = np.hstack([data.geom_xpos, data.geom_xmat]).astype("<f4")
         if not self._number:
-            self._solids = ModelSolids(self.sensor.model).at(data)
+            self._solids = ModelSolids(self.sensor.model).at(data), places
         with self._newer:
-            self._moment = float(data.time), scans, np.array(poses), places
+            self._moment = data.time, scans, np.array(poses), places
             self._number += 1
             self._newer.notify_all()
         return scans
@@ -99,9 +99,8 @@ class LiveView(PageServer):
     def reply(self, path: str) -> Reply | None:
         """Answer /scan/N with the newest scan after number N, and /solids, see
         `PageServer.reply`."""
-        content = b""
         if path == "/solids" and self._number:
-            content = _packed_solids(self._solids)
+            content = _packed_solids(*self._solids)
         elif request := SCAN.fullmatch(path):
             with self._newer:
                 newer = self._newer.wait_for(lambda: self._number > int(request[1]), WAIT_S)
@@ -119,14 +118,13 @@ def _packed_scan(number: int, time_s: float, scans: Any, poses: Any, places: Any
     points = np.concatenate([scan.points() for scan in scans]) - poses[0, :3]
     reach = float(np.abs(points).max(initial=1e-6))
     # single far returns would make all others one colour
-    heights = np.quantile([*points[::16, 2], 0.0], [0.02, 0.98]) + poses[0, 2]
+    heights = np.quantile(np.append(points[::16, 2], 0.0), [0.02, 0.98]) + poses[0, 2]
     head = {
         "number": number,
         "time": time_s,
         "reach": reach,
         "heights": heights.tolist(),
         "points": len(points),
-        "geoms": len(places),
         "sensors": poses.tolist(),
     }
     text = json.dumps(head).encode()
@@ -137,14 +135,15 @@ def _packed_scan(number: int, time_s: float, scans: Any, poses: Any, places: Any
     return len(text).to_bytes(4, "little") + text + places.tobytes() + numbers.tobytes()
 
 
-def _packed_solids(solids: Any) -> bytes:
-    """Encode the surfaces of solids: all triangles, and how many numbers each geom has."""
+def _packed_solids(solids: Any, places: Any) -> bytes:
+    """Encode the surfaces of solids: all triangles, how many numbers each geom has, and where geoms
+    are."""
     from scenegen.view.glb import surfaces
 
     near: Any = SimpleNamespace(solids=solids, flight_bounds=solids.position + PLANE_M)
     meshes = surfaces(near)
     sizes = [mesh.triangles.size for mesh in meshes]
-    facts = {"geoms": solids.geom.tolist(), "sizes": sizes}
+    facts = {"geoms": solids.geom.tolist(), "sizes": sizes, "places": places.tolist()}
     return json.dumps(facts | packed_world(meshes, np.zeros(3))).encode()
 
 

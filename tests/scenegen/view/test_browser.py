@@ -236,7 +236,7 @@ def test_a_running_simulation_is_drawn_live(browser, running):
             tab.wait_for_timeout(50)
         tab.wait_for_selector(f"body[data-points='{len(scan.points())}']", state="attached")
         assert int(state(tab, "frames")) >= 2
-        assert "1.90, 0.00, 1.00 m" in tab.locator("#figures").inner_text()
+        tab.get_by_text("1.90, 0.00, 1.00 m").wait_for()
         assert complaints == []
 
 

@@ -133,9 +133,9 @@ def taken(server, path):
     _, _, content = server.reply(path)
     length = int.from_bytes(content[:4], "little")
     head = json.loads(content[4 : 4 + length])
-    rest = content[4 + length :]
-    places = np.frombuffer(rest, "<f4", 12 * head["geoms"]).reshape(-1, 12)
-    numbers = np.frombuffer(rest, "<i2", offset=places.nbytes).reshape(-1, 4)[:, :3]
+    end = len(content) - 8 * head["points"]
+    places = np.frombuffer(content[4 + length : end], "<f4").reshape(-1, 12)
+    numbers = np.frombuffer(content[end:], "<i2").reshape(-1, 4)[:, :3]
     return head, places, numbers / 32767 * head["reach"] + head["sensors"][0][:3]
 
 
