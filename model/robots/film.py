@@ -153,7 +153,7 @@ def _film(simulation: Simulation) -> Json:
     firsts = np.cumsum([0, *map(len, simulation.states[:-1])])
     speeds = [np.linalg.norm(states[-1, VELOCITY]) for states in simulation.states]
     least = np.minimum.reduceat(simulation.clearances_m, firsts)
-    curves: Json = {"speed, m/s": speeds, "least clearance (capped at 1 m), m": least}
+    curves: Json = {"speed, m/s": speeds, "clearance (to 1 m), m": least}
     return {
         "period_s": PERIOD_S,
         "time_s": simulation.time_s,
