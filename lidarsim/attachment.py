@@ -31,6 +31,10 @@ wheels."""
 class Attached:
     """A sensor on each of M bodies of a model. It serves one thread at a time.
 
+    Attributes:
+        sensor: The sensor.
+        model: The model.
+
     Every method reads the places of bodies and geoms from the data that it gets, refits the
     hierarchy to those that have moved, and casts the rays of all M sensors at once. After
     ``mj_step``, MuJoCo's own places are those from which the step began: ``mj_kinematics(model,
@@ -78,7 +82,7 @@ class Attached:
             raise ValueError(
                 f"attach: unseen = {unseen!r}, expected one of {', '.join(get_args(Unseen))}"
             )
-        self.sensor, self._model, self._threads = sensor or Lidar(), model, threads
+        self.sensor, self.model, self._threads = sensor or Lidar(), model, threads
         check_sensor(self.sensor)
         self._bodies = [_body_number(model, name) for name in names] * (count // len(names))
         self._offsets = offsets * (count // len(offsets))
@@ -92,7 +96,7 @@ class Attached:
 
     def poses(self, data: mujoco.MjData) -> tuple[Pose, ...]:
         """Compute the poses of the M sensors in the world."""
-        check_forwarded(self._model, data)
+        check_forwarded(self.model, data)
         return tuple(
             mounted(self.sensor, chained(Pose(data.xpos[body], data.xquat[body]), offset))
             for body, offset in zip(self._bodies, self._offsets, strict=True)
@@ -149,7 +153,7 @@ class Attached:
             ValueError: As the stages and `Noise.parse` do.
         """
         chain = Noise.parse(noise, self.sensor)
-        scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
+        scans, engine, albedo = self.scans(data), self._engine, albedo_of(self.model)
         assert engine is not None
         # stages cast rays of their own, which must pass through the carrier, too
         views = [_through_carrier(engine, int(carrier)) for carrier in self._through]

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from scenegen.model.training.data import collate
     from scenegen.streams.stream import stream
     from scenegen.verification.folder import verify
+    from scenegen.view.live import view_live
     from scenegen.view.notebook import show
     from scenegen.worlds.flight import poses_in_flight
     from scenegen.worlds.kinds.kind import WorldKind
@@ -68,12 +69,14 @@ __all__ = [
     "stream",
     "train",
     "verify",
+    "view_live",
 ]
 
 _MODULES = {
     "scenegen.dataset.generation": "generate",
     "scenegen.dataset.collection": "load",
     "scenegen.dataset.read": "Dataset",
+    "scenegen.view.live": "view_live",
     "scenegen.view.notebook": "show",
     "scenegen.fly.environment": "Flight",
     "scenegen.model.api": "bench train",

@@ -55,8 +55,12 @@ def test_what_cannot_be_shown_is_refused(dataset):
         ("a point", sample, {}, sample.position),
         ("no grid", bare),
         ("none", []),
+        ("a number", 5),
+        ("words", sample, {}, "abc"),
     ):
         refuses(case, scenegen.show, *arguments, error=DatasetError)
+    refuses("store", scenegen.show, sample, out="s3://bucket/x.html", error=DatasetError)
+    refuses("no sensor", scenegen.view_live, sample, error=DatasetError)
 
 
 @pytest.mark.checkout

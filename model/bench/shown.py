@@ -73,7 +73,7 @@ def guesses(
             for metric in target.metrics.values()
         }
         guess = Guess(name=method.name, occupied=occupied, tudf=tudf, route=route, figures=figures)
-        guessed.append(guess)
+        guessed.append(dataclasses.replace(guess, chance=prediction.chance))
     return guessed
 
 

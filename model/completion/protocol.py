@@ -127,6 +127,13 @@ class Prediction:
         return self._as_given(self.calibration.chance(plain(self.occupancy_probability), self.away))
 
     @property
+    def chance(self) -> Any:
+        """Probability of being occupied as viewers show it, numpy (*shape): calibrated if possible,
+        else the network's own; None if only distances are predicted."""
+        calibrated = plain(self.probability)
+        return plain(self.occupancy_probability) if calibrated is None else calibrated
+
+    @property
     def away(self) -> Any:
         """How unfamiliar the map is, or each of a batch, from 0 to 1; None if not measured.
 

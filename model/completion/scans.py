@@ -37,12 +37,14 @@ from scenegen.model.completion.stored import (
     read_guarded,
     write_map,
 )
-from scenegen.model.config import Thresholds
+from scenegen.model.config import PREDICTIONS, Thresholds
 from scenegen.model.inputs import UNTOLD, channels
-from scenegen.view.look import Guess, Look
+from scenegen.view.look import Guess, Look, evenly
 from scenegen.worlds.clouds import READERS, ReadReport, check_scan, read_cloud, scans_in
 from scenegen.worlds.clouds.write import encode_points, read_npz
 
+MAX_LOOKS = 24
+"""Completions of a folder or a log on a page, evenly spread."""
 TRUTH = ("occupancy", "known")
 """Arrays that an observation of `scenegen ingest` has besides its scan, from the whole log."""
 BELOW_M = 5.0
@@ -300,6 +302,9 @@ def _completion(path: Path) -> Look:
             if math.prod(shape) > MAX_VOXELS or not np.isfinite(origin).all():
                 raise ValueError("no map")
             maps = {name: np.asarray(file[name]) for name in names}
+            if DIGEST in file.attrs:
+                with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
+                    check_digest(file, list(file))
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
         prediction = check_prediction(Prediction(**parts), shape, str(path))
@@ -308,6 +313,7 @@ def _completion(path: Path) -> Look:
             # of an observation, only known voxels are shown, as in its truth
             occupied=prediction.occupied() & maps.get("known", np.ones(shape)).astype(bool),
             tudf=prediction.distance(None, grid),
+            chance=prediction.chance,
         )
         known = maps["known"].astype(bool) if "known" in maps else None
         return Look(
@@ -323,13 +329,32 @@ def _completion(path: Path) -> Look:
             scored=known,
             guesses=(guess,),
         )
+    except DatasetError:
+        raise
     except Exception:  # h5py's errors share no base
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
 def looks_of_completion(path: Path) -> list[Look]:
-    """List the completion of a scan, the only one of its file; see `read_completion`."""
-    return [read_completion(path)]
+    """Read the completion of a scan, or some of a folder; see `read_completion`.
+
+    Raises:
+        DatasetError: The folder holds none, or predictions of a dataset.
+    """
+    if not path.is_dir():
+        return [read_completion(path)]
+    files = sorted(path.rglob("*.h5"))
+    if (path / PREDICTIONS).exists() or not files:
+        raise DatasetError(
+            f"{path}: holds predictions of a dataset's split, which need the dataset: scenegen "
+            f"view DATASET --split test --predictions {path}"
+        )
+    return looks_of_completions(files)
+
+
+def looks_of_completions(files: Sequence[Path]) -> list[Look]:
+    """Read some of many completions, evenly spread."""
+    return [read_completion(files[n]) for n in evenly(len(files), MAX_LOOKS)]
 
 
 def read_line(reports: Sequence[ScanReport]) -> str:

@@ -344,8 +344,8 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
         part = part_of(recording)
     if part.track != track:
         raise ScenegenError(
-            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
-            "--hidden and its number, --maps and their folder, or neither"
+            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; fly "
+            "replay takes --hidden and its number, --maps and their folder, or neither"
         )
     # the suite's own courses: a stranger's file could lead to other worlds by the same names
     frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}

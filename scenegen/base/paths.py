@@ -174,8 +174,8 @@ TYPES = {
         shows="scenegen.view.look:looks_of_dataset",
     ),
     "predictions": PathType(
-        form="an .h5 file, or a folder with predictions.json",
-        test=lambda path: ends(".h5")(path) or holds("predictions.json")(path),
+        form="an .h5 file, or a folder with predictions.json or completions.json",
+        test=lambda path: ends(".h5")(path) or holds("predictions.json", "completions.json")(path),
         opens="scenegen.model.bench.methods:Predicted",
         facts="scenegen.model.completion.stored:prediction_facts",
         shows="scenegen.model.completion.scans:looks_of_completion",
@@ -238,6 +238,8 @@ TYPES = {
         form="a .json file of `scenegen fly -o`",
         test=begins(".json", r'\s*\{\s*"format":\s*\d+,\s*"scenegen":'),
         opens="scenegen.fly.course:read_recording",
+        shows="scenegen.model.robots.film:looks_of_recording",
+        film=True,
     ),
     "recipe": PathType(
         form="a .toml file", test=ends(".toml"), opens="scenegen.worlds.recipe:read_recipe"

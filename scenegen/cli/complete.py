@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 COMPLETIONS = "completions.json"
 """File in a folder of completions that records their scans and their network."""
-MAX_LOOKS = 24
-"""Completions on the page of a folder or a log, evenly spread."""
 
 
 @command(
@@ -253,12 +251,11 @@ def complete_scans(
     from scenegen.model.completion.scans import (
         about_scan,
         is_intact,
+        looks_of_completions,
         predict_scan,
-        read_completion,
         read_line,
         summary,
     )
-    from scenegen.view.look import evenly
     from scenegen.view.page import page
 
     reports, completions, failed = list[Any](), list[Path](), 0
@@ -282,7 +279,7 @@ def complete_scans(
                 completions.append(target)
             progress.count(1)
     if completions:
-        looks = [read_completion(completions[n]) for n in evenly(len(completions), MAX_LOOKS)]
+        looks = looks_of_completions(completions)
         known = any("occupancy" in look.masks for look in looks)
         notes = ["Where the log knows nothing, predictions are not shown."] * known
         write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())

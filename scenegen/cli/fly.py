@@ -416,11 +416,14 @@ def _show(
         figure = draw([look], "paths", title=f"{name} in {course.world}")
         write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
-        from scenegen.model.robots.film import flight_page
+        from scenegen.model.robots.film import looks_of_flight
+        from scenegen.view.page import page
 
         robot = None if filmed is None else robot_maker(*filmed)(course)
         try:
-            write_result(film, flight_page(name, course, 0, robot, ways[0]))
+            looks = looks_of_flight(name, course, 0, robot, ways)
+            title = f"{name} in {course.world}"
+            write_result(film, page(looks, title=title, film=True).encode())
         finally:
             getattr(robot, "close", lambda: None)()  # a robot of another process has one
     if log is not None:

@@ -19,6 +19,7 @@ from scenegen.cli.options import (
     group,
     index_option,
     json_option,
+    log_options,
     open_dataset,
     quiet_option,
     split_option,
@@ -227,6 +228,7 @@ def _show_split(name: str, split: Json) -> None:
     "view data/pillar",
     "view data/pillar --split test --weights columns --weights proposed",
     "view data/pillar --index 3 --index 7 --html samples.html",
+    "view flights.json --index 3",
 )
 @dataset_argument
 @split_option("train", help="Split of the samples.")
@@ -260,7 +262,10 @@ def _show_split(name: str, split: Json) -> None:
 )
 @quiet_option
 @prediction_options
+@columns_option
+@log_options
 @group("What is shown", "split index n html")
+@group("Scans and logs", "columns poses poses-of topic fixed-frame")
 @group("In a browser", "host port")
 def view(
     dataset: Path | str,
@@ -271,11 +276,13 @@ def view(
     host: str,
     port: int,
     quiet: bool,
+    columns: int | None,
+    log_reading: Json,
     **predicting: Any,
 ) -> None:
     """Show a dataset in a browser, served from this machine. With --html, write a page with some
     samples. Or show a scan, a folder of scans, a log, a map, a world (.xml), a mesh, a floor plan,
-    the completion of a scan (.h5), or the folder of a training run.
+    completions of scans (.h5), flights (.json), or the folder of a training run.
 
     \f
     Raises:
@@ -288,10 +295,21 @@ def view(
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
         )
-    if type_of(dataset) not in (None, *DATA):
-        if flags := flags_given(("split", "indices", "count", *predicting)):
-            raise click.UsageError(f"{flags[0]}: is for datasets; leave it out")
-        _show_path(dataset, out, host, port, quiet)
+    name, reading = type_of(dataset), log_reading | {"columns": columns}
+    is_data = name in (None, *DATA)
+    options: Json = {
+        "scan": {"columns": columns},
+        "scans": reading,
+        "log": reading,
+        "flights": {"number": (*indices, 0)[0]},
+    }.get(name or "", {})
+    others = reading.keys() - options.keys()
+    if not is_data:
+        others |= {"split", "count", *predicting, *["indices"] * (name != "flights")}
+    if flags := flags_given(others):
+        raise click.UsageError(f"{flags[0]}: is not for the type {name or 'dataset'}; leave it out")
+    if not is_data:
+        _show_path(dataset, options, out, host, port, quiet)
         return
     source = open_dataset(dataset, show_progress=not quiet)
     opened = list(source.datasets) if len(source.datasets) > 1 else [source]
@@ -317,7 +335,9 @@ def view(
     _serve(server, ", ".join(part.name for part in opened))
 
 
-def _show_path(path: Path | str, out: Path | None, host: str, port: int, quiet: bool) -> None:
+def _show_path(
+    path: Path | str, options: Json, out: Path | None, host: str, port: int, quiet: bool
+) -> None:
     """Show anything but a dataset: write its page, or serve it.
 
     Raises:
@@ -326,7 +346,7 @@ def _show_path(path: Path | str, out: Path | None, host: str, port: int, quiet: 
     from scenegen.view.notebook import page_of
     from scenegen.view.page import PageServer
 
-    page = page_of(str(path))
+    page = page_of(str(path), **options)
     for line in dict.fromkeys(line for look in page.looks for line in look.missing):
         info(line)
     if out is None:

@@ -255,34 +255,58 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
     for n, flown in enumerate(flights):
         simulation = course.simulation(n)
         count = sum(1 for _ in flown_again(simulation, flown))
-        if simulation.outcome is None:
-            # a recording cannot claim a success that the simulation did not see
-            simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
-        again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
-        if faults := unlike(flown, again):
-            raise DatasetError(
-                f"flight {n} through {course.world}, seed {course.seed}, differs from its "
-                f"recording: {faults[0]}"
-            )
-        replayed.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
+        replayed.append(compared(course, n, simulation, flown, count))
     return replayed
 
 
-def flown_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
+def compared(
+    course: Course, number: int, simulation: Simulation, flown: Flown, count: int
+) -> Flown:
+    """Compare a recorded flight with its replay.
+
+    Args:
+        course: The course.
+        number: Number of the mission.
+        simulation: The mission after `flown_again`.
+        flown: The recorded flight.
+        count: How many of its commands were flown.
+
+    Returns:
+        The flight with its path.
+
+    Raises:
+        DatasetError: The flights differ.
+    """
+    if simulation.outcome is None:
+        # a recording cannot claim a success that the simulation did not see
+        simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
+    again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
+    if faults := unlike(flown, again):
+        raise DatasetError(
+            f"flight {number} through {course.world}, seed {course.seed}, differs from its "
+            f"recording: {faults[0]}"
+        )
+    return replace(again, **{name: getattr(flown, name) for name in CLAIMED})
+
+
+def flown_again(
+    simulation: Simulation, flown: Flown, *, blind: bool = False
+) -> Iterator[Observation]:
     """Fly recorded commands again, as far as they are valid and the flight lasts.
 
     Args:
         simulation: A new simulation of the mission; it is moved.
         flown: The recorded flight.
+        blind: Whether nothing is scanned, which is faster.
 
     Yields:
-        The robot's observation before each command.
+        The robot's observation before each command; {} if `blind`.
     """
     for command in flown.commands:
         commands, exceeds = bounded(command, simulation.vehicle)
         if simulation.outcome is not None or commands is None or exceeds:
             return
-        seen = simulation.observe()
+        seen = {} if blind else simulation.observe()
         simulation.step(command)
         yield seen
 

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, ScenegenError, printable
+from scenegen.base.files import Json
 from scenegen.dataset.collection import open_data
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.draw.sample import Sample
@@ -34,6 +36,8 @@ class Route:
     """Result in a few words, such as its length or its collision."""
     hit: Floats | None = None
     """Centre of the first voxel in which the path collides (3,); None if it does not."""
+    flown: int = 0
+    """Number of its points that were flown; the others are planned."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +54,8 @@ class Guess:
     """The path planned on these maps."""
     figures: Mapping[str, str] = field(default_factory=dict)
     """Its metrics of other targets, by name."""
+    chance: Field | None = None
+    """Probability of each voxel to be occupied, of the grid's shape; None if none is predicted."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,6 +89,12 @@ class Look:
     """Predictions of its map."""
     surfaces: Sequence[Any] = ()
     """Meshes of solids with `triangles` (n, 3, 3), metres in the world."""
+    fov_deg: Sequence[float] | None = None
+    """See `field_of_view`; None if the sensor is not known."""
+    classes: tuple[NDArray[np.uint16], tuple[str, ...]] | None = None
+    """True class of each voxel, of the grid's shape, and names of classes; None if unlabelled."""
+    film: Json | None = None
+    """Curves and ends of the flight that this is a picture of, see `scenegen.model.robots.film`."""
     missing: tuple[str, ...] = ()
     """A line for each part that could not be read."""
 
@@ -151,11 +163,21 @@ class Look:
         scored = np.ones(truth.shape, bool) if self.scored is None else self.scored
         return f"IoU {iou(truth & scored, guess.occupied & scored):.3f}"
 
-    def heading_deg(self) -> float:
-        """Return the yaw of the body, degrees counter-clockwise from x."""
-        # rounded, so that pages are the same on every processor
-        w, x, y, z = self.quaternion
-        return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
+
+def field_of_view(sensor: Sensor) -> list[float]:
+    """Return the directions between which a sensor's rays lie in the frame of its body, degrees.
+
+    Args:
+        sensor: The sensor.
+
+    Returns:
+        Least and greatest azimuth, counter-clockwise from forward, and least and greatest
+        elevation.
+    """
+    x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
+    azimuth, elevation = np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))
+    edges = [azimuth.min(), azimuth.max(), elevation.min(), elevation.max()]
+    return np.degrees(edges).round(2).tolist()
 
 
 def look_at(
@@ -164,6 +186,7 @@ def look_at(
     lidar: Sensor | None,
     name: str,
     world: Mapping[str, Any] | None = None,
+    classes: tuple[str, ...] = (),
 ) -> Look:
     """Read a sample for display; parts that cannot be read are missing.
 
@@ -173,6 +196,7 @@ def look_at(
         lidar: Its sensor; None: of the sample's stream.
         name: Name for titles and errors.
         world: The recipe's table of the world, which has the height of the ground.
+        classes: Names of the classes of a labelled dataset.
 
     Raises:
         DatasetError: Not even the pose can be read.
@@ -201,6 +225,7 @@ def look_at(
 
     scans = read_part("the scan", lambda: sample.scans(lidar)) or ()
     masks = {field: read_part(field, partial(getattr, sample, field)) for field in MASKS}
+    numbers = read_part("voxel_class", lambda: sample.voxel_class) if classes else None
     return Look(
         name=name,
         grid=grid,
@@ -211,6 +236,8 @@ def look_at(
         rays=sum(scan.ranges.size for scan in scans),
         known=read_part("known", lambda: sample.known),
         scored=read_part("the scored voxels", lambda: scored_voxels(sample, grid, world)),
+        fov_deg=field_of_view(scans[0].lidar) if scans else None,
+        classes=None if numbers is None else (numbers, classes),
         missing=tuple(missing),
     )
 
@@ -237,7 +264,9 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
         home = samples.home(index)
         if home.graded != dataset.kind:  # the title has the kind of the dataset
             name += f", {home.graded}"
-        look = look_at(samples[index], dataset.grid, home.lidar, name, home.tables.world)
+        classes = home.parts["labels"].classes if "labels" in home.parts else ()
+        sample, world = samples[index], home.tables.world
+        look = look_at(sample, dataset.grid, home.lidar, name, world, classes)
     except DatasetError as error:
         raise DatasetError(f"{name} is not shown: {printable(error)}") from None
     if guesses is None:

@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from lidarsim import GridSpec, Sensor
-from scenegen.base.errors import DatasetError
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.files import write_result
 from scenegen.base.paths import TYPES, check_type, function_for, what_is
 from scenegen.dataset.locate import locate
@@ -110,8 +111,8 @@ def show(
             return _open(page_of(name), out)
         looks = function_for(name, "shows")(locate(name))
     else:
-        several = [samples] if isinstance(samples, Sample) else samples
-        looks = [_look(sample, grid or sample.grid, lidar) for sample in several]
+        several: Any = samples if isinstance(samples, Iterable) else [samples]
+        looks = [_look(sample, grid, lidar) for sample in several]
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
     looks[0] = _with_guesses(looks[0], prediction, path)
@@ -120,11 +121,12 @@ def show(
     return _open(Shown(html=content, looks=looks, draw=partial(_draw, looks[0])), out)
 
 
-def page_of(name: str) -> Shown:
+def page_of(name: str, **options: Any) -> Shown:
     """Make the page of whatever a path is.
 
     Args:
         name: A path of a type in `TYPES` that can be shown or drawn.
+        options: Arguments of the function that shows this type.
 
     Raises:
         DatasetError: The path does not exist, or has no type, or one that cannot be shown.
@@ -135,7 +137,7 @@ def page_of(name: str) -> Shown:
         figure = function_for(name, "draws")(Path(name))
         title = f"<title>{html.escape(name)}</title>"
         return Shown(html=title + picture(figure), looks=(), draw=lambda: figure)
-    looks = function_for(name, "shows")(locate(name))
+    looks = function_for(name, "shows")(locate(name), **options)
     notes = [line for look in looks for line in look.missing]
     content = page(looks, title=Path(name).name, notes=notes, film=path_type.film)
     drawn = path_type.draws and not looks[0].guesses
@@ -144,7 +146,12 @@ def page_of(name: str) -> Shown:
 
 
 def _look(sample: Sample, grid: GridSpec | None, lidar: Sensor | None) -> Look:
-    if grid is None:
+    if not isinstance(sample, Sample):
+        raise DatasetError(
+            f"show({short_repr(sample)}): expected a sample, several, or a path; for a sensor in a "
+            "simulation, see scenegen.view_live"
+        )
+    if (grid := grid or sample.grid) is None:
         raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
     return look_at(sample, grid, lidar, f"world {sample.world}, viewpoint {sample.viewpoint}")
 
@@ -172,8 +179,9 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
     """Write a page to a file, or open it in a browser unless a notebook shows it."""
     if out is not None:
         # another name may be of a scan or of weights, which a page would replace
-        if Path(out).suffix != ".html":
-            raise DatasetError(f"{os.fspath(out)}: expected a name that ends in .html")
+        name = str(out)
+        if "://" in name or not name.endswith(".html"):
+            raise DatasetError(f"{name}: expected a file on this machine that ends in .html")
         write_result(Path(out), result.html.encode())
     elif "ipykernel" not in sys.modules:  # not within a notebook
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
@@ -198,12 +206,14 @@ def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     from scenegen.truth import distance_field  # compiles: not for those who only show samples
 
     tudf = predicted.distance(None, grid) if is_prediction else distance_field(occupied, grid)
-    return Guess(name=name, occupied=occupied, tudf=tudf)
+    chance = predicted.chance if is_prediction else None
+    return Guess(name=name, occupied=occupied, tudf=tudf, chance=chance)
 
 
 def _route(path: Any) -> Route:
     """Check the points of a path, and make a `Route`."""
-    points = np.asarray(path, float)
+    with reraise_as(DatasetError, "path: ", of=(TypeError, ValueError)):
+        points = np.asarray(path, float)
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()

@@ -15,6 +15,9 @@ from lidarsim.grid import MAX_EDGE, Floats, GridSpec, Mask
 from lidarsim.pose import rotate
 from lidarsim.voxelization import sort_points
 from scenegen.base.errors import DatasetError
+from scenegen.base.limits import MAX_ASSET_BYTES
+from scenegen.base.paths import is_map
+from scenegen.base.reading import read_bounded
 from scenegen.view.look import Look, evenly
 
 MAX_POINTS = 150_000
@@ -78,35 +81,42 @@ def looks_of_scan(path: Path, columns: int | None = None) -> list[Look]:
     ]
 
 
-def looks_of_scans(folder: Path) -> list[Look]:
-    """Read scans of a folder, each in the frame of its sensor, in the order of their names.
+def looks_of_scans(folder: Path, columns: int | None = None, **reading: Any) -> list[Look]:
+    """Read scans of a folder, each in the frame of its sensor, in the order of their names; with
+    `poses`, see `looks_of_log`.
 
     Args:
         folder: A folder with point clouds; of more than `MAX_FRAMES`, some evenly spread.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
+        reading: Arguments of `read_log`.
 
     Raises:
         DatasetError: A file cannot be read, or has no returns.
     """
     from scenegen.worlds.clouds import scans_in
 
+    if reading.get("poses"):
+        return looks_of_log(folder, columns=columns, **reading)
+
     paths = scans_in(folder)
     chosen = evenly(len(paths), MAX_FRAMES)
-    frames = [look for n in chosen for look in looks_of_scan(paths[n])]
+    frames = [look for n in chosen for look in looks_of_scan(paths[n], columns)]
     return _noted(frames, len(paths))
 
 
-def looks_of_log(path: Path) -> list[Look]:
+def looks_of_log(path: Path, **reading: Any) -> list[Look]:
     """Read scans of a log, each at its pose in the world, in the order of time.
 
     Args:
         path: A log with poses; of more than `MAX_FRAMES` scans, some evenly spread.
+        reading: Arguments of `read_log`.
 
     Raises:
         DatasetError: The log cannot be read.
     """
     from scenegen.logs.read import read_log
 
-    log = read_log(path)
+    log = read_log(path, **reading)
     chosen = set(evenly(len(log.times_s), MAX_FRAMES))
     frames, grid = list[Look](), None
     for number, scan in enumerate(log.scans()):
@@ -152,8 +162,11 @@ def looks_of_world(path: Path) -> list[Look]:
         SceneError: The file holds no world.
     """
     from scenegen.draw.source import read_world
+    from scenegen.worlds.place import Place
 
-    return [look_of_world(read_world(path), path.name)]
+    # a map in which no sensor can be is a map to look at
+    mapped = is_map(path) and Place(str(path), read_bounded(path, MAX_ASSET_BYTES))
+    return [look_of_world(mapped or read_world(path), path.name)]
 
 
 def look_of_world(world: Any, name: str) -> Look:

@@ -1,60 +1,14 @@
 "use strict";
 (async () => {
-  const find = (id) => document.getElementById(id);
-  const data = JSON.parse(find("data").textContent);
-  const make = (tag, text) => Object.assign(document.createElement(tag), { textContent: text ?? "" });
-  const note = (text) => find("notes").append(Object.assign(make("div", text), { className: "note" }));
-  const live = data.live;
-  find("title").textContent = data.title;
-  data.notes.forEach(note);
-
-  async function unpack(text) {
-    const packed = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
-    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-    return new Uint8Array(await new Response(stream).arrayBuffer());
-  }
-
-  // The renderer's files are modules, one of which imports the other. They become scripts of this
-  // page itself: a notebook's frame may load no others.
-  const renames = (names, between) => names.split(",").filter((one) => one.trim()).map((one) => {
-    const [from, to] = one.trim().split(/\s+as\s+/);
-    return between(from, to ?? from);
-  }).join(", ");
-  for (const name of ["three", "orbit"]) {
-    const code = new TextDecoder().decode(await unpack(find(name).textContent))
-      .replace(/\bimport\s*\{([^}]*)\}\s*from\s*["']three["']/, (_, names) => `const { ${renames(names, (from, to) => `${from}: ${to}`)} } = window.three`)
-      .replace(/\bexport\s*\{([^}]*)\}/, (_, names) => `window.${name} = { ${renames(names, (from, to) => `${to}: ${from}`)} }`);
-    const script = make("script", `(() => { "use strict"; ${code}\n})()`);
-    script.nonce = find("main").nonce;
-    document.head.append(script);
-  }
-  const THREE = window.three, { OrbitControls } = window.orbit;
-
-  const canvas = find("scene");
-  let renderer;
-  try {
-    renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
-  } catch {
-    note("This browser shows no WebGL, which the picture needs; names and statistics are shown all the same.");
-  }
-  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-  const [ground, ink] = dark ? [[38, 43, 50], "#e6e9ed"] : [[255, 255, 255], "#1b1f24"];
-  const scene = new THREE.Scene();
-  scene.background = new THREE.Color(`rgb(${ground})`);
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x9aa4b0, 2.4));
-  const sun = new THREE.DirectionalLight(0xffffff, 1.6);
-  sun.position.set(-1, -2, 4);
-  scene.add(sun);
-  const camera = new THREE.PerspectiveCamera(45, 1, 0.05, 5000);
-  camera.up.set(0, 0, 1);
-  const controls = new OrbitControls(camera, canvas);
+  const { THREE, data, find, make, note, unpack, canvas, renderer, scene, camera, controls, dark, ground, ink, rgb, css, ramp, surface, ball, sensorAt, follow } = await makeStage();
+  const live = data.live, film = data.film === true ? null : data.film;
   let asked = false;
   function draw() {
     if (asked || !renderer) return;
     asked = true;
     requestAnimationFrame(() => {
       asked = false;
-      const wide = Math.floor(canvas.clientWidth / views());
+      const wide = 2 * Math.floor(canvas.clientWidth / views() / 2); // even: edges are shaded by pairs of pixels
       for (let n = 0; n < views(); n++) {
         for (const [name, made] of Object.entries(layers)) made.visible = shows(n, name);
         renderer.setViewport(n * wide, 0, wide, canvas.clientHeight);
@@ -65,30 +19,34 @@
   }
   controls.addEventListener("change", draw);
 
-  const rgb = (value) => new THREE.Color().setRGB(value[0] / 255, value[1] / 255, value[2] / 255, THREE.SRGBColorSpace);
-  const css = (anchors) => `linear-gradient(90deg, ${anchors.map((one) => `rgb(${one})`).join(", ")})`;
-  function ramp(anchors, share) {
-    const at = Math.min(Math.max(share, 0), 1) * (anchors.length - 1);
-    const low = Math.min(Math.floor(at), anchors.length - 2);
-    return [0, 1, 2].map((n) => anchors[low][n] + (at - low) * (anchors[low + 1][n] - anchors[low][n]));
-  }
-
   // What a layer shows decides how it looks; layers of predictions stand after all others.
   const PLAIN = {
     observed: [230, 75, 0], free: [120, 190, 230], unknown: [196, 176, 140], missed: data.colours.missed,
     invented: dark ? [235, 235, 235] : data.colours.invented, // which a dark ground would hide
   };
   const RAYS = [70, 110, 150];
+  // Okabe and Ito (2008), which colour-blind readers tell apart, then Tol's light colours; in the
+  // order in which classes appear.
+  const CLASSES = [
+    [230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0], [204, 121, 167], [110, 110, 110],
+    [153, 221, 255], [68, 187, 153], [170, 170, 0], [238, 221, 136], [238, 136, 102], [255, 170, 187], [119, 170, 221], [221, 221, 221],
+  ];
+  const known = new Map(); // classes that have a colour
+  const classColour = (name) => {
+    if (!known.has(name)) known.set(name, CLASSES[known.size % CLASSES.length]);
+    return known.get(name);
+  };
   const CLEAR = { free: 0.12, unknown: 0.1 };
   // a server may have samples with any layer; a file has those of its samples
   const holds = (part) => live || data.samples.some((one) => one[part]);
   const kinds = new Map([...(holds("points") ? ["points", "rays"] : []), ...data.masks].map((name) => [name, name]));
   if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
   if (holds("tudf")) kinds.set("distances", "distances");
+  if (holds("classes")) kinds.set("classes", "classes");
   const methods = new Map(data.methods), rows = new Map(), owners = new Map();
   for (const name of methods.keys()) {
     kinds.set(name, "predicted");
-    for (const kind of ["missed", "invented", "distances"]) {
+    for (const kind of ["doubt", "missed", "invented", "distances"]) {
       kinds.set(`${name}: ${kind}`, kind);
       owners.set(`${name}: ${kind}`, name);
     }
@@ -110,7 +68,9 @@
   const routed = data.samples.some((one) => one.guesses.some((guess) => guess.route));
   if (!kinds.has("observed")) story("truth", ...(kinds.has("world") ? ["world"] : ["occupancy"]));
   if (kinds.has("observed")) story("seen", "observed", kinds.has("occupancy") ? "occupancy" : "points");
-  if (methods.size) story("believed", "observed", first, "paths");
+  // what a method doubts is transparent, where it says so
+  const doubted = live || data.samples.some((one) => one.guesses.some((guess) => guess.name === first && guess.chance));
+  if (methods.size) story("believed", "observed", doubted ? `${first}: doubt` : first, "paths");
   if (methods.size && kinds.has("occupancy")) story("wrong", ...sets.get(`${first}: errors`), "paths");
   if (methods.size && (live || routed)) story("planned", "occupancy", "paths");
   if (kinds.has("observed") && kinds.has("occupancy")) story("truth", "occupancy");
@@ -154,7 +114,7 @@
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
     const swatch = make("i"), kind = kinds.get(name);
     const plain = { points: dark ? [230, 233, 237] : [17, 17, 17], rays: RAYS, ...PLAIN }[kind];
-    const scales = { distances: data.colours.distances, paths: [...methods.values(), ...methods.values()] };
+    const scales = { distances: data.colours.distances, paths: [...methods.values(), ...methods.values()], classes: CLASSES.slice(0, 7) };
     swatch.style.background = plain ? `rgb(${plain})` : css(scales[kind] ?? data.colours.heights);
     const label = make("label"), owner = owners.get(name);
     label.append(box, swatch, make("span", owner ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
@@ -177,7 +137,6 @@
   });
 
   let current = -1, sample = null, fields = {}, turn = 0, placed = false;
-  const cube = new THREE.BoxGeometry(1, 1, 1);
 
   const bit = (bits, x, y, z) => {
     const [nx, ny, nz] = sample.shape, n = (x * ny + y) * nz + z;
@@ -190,6 +149,13 @@
   }
   near.sort((one, other) => one[3] - other[3]);
 
+  const touches = (right, x, y, z) => {
+    for (let dx = -1; dx < 2; dx++) for (let dy = -1; dy < 2; dy++) for (let dz = -1; dz < 2; dz++) {
+      if (bit(right, x + dx, y + dy, z + dz)) return true;
+    }
+    return false;
+  };
+
   // The colour of an error, the paler the nearer it is to voxels that are right.
   function wrong(colour, right, x, y, z) {
     const away = near.find(([dx, dy, dz]) => bit(right, x + dx, y + dy, z + dz))?.[3] ?? deep;
@@ -197,30 +163,102 @@
     return rgb(colour.map((part, n) => ground[n] + share * (part - ground[n])));
   }
 
-  function voxels(bits, name) {
-    const [nx, ny] = sample.shape, nz = cut(), inside = (x, y, z) => z < nz && bit(bits, x, y, z);
-    const places = [];
-    for (let x = 0; x < nx; x++) for (let y = 0; y < ny; y++) for (let z = 0; z < nz; z++) {
-      if (!inside(x, y, z)) continue;
-      if (inside(x - 1, y, z) && inside(x + 1, y, z) && inside(x, y - 1, z) && inside(x, y + 1, z)
-        && inside(x, y, z - 1) && inside(x, y, z + 1)) continue; // nobody sees it
-      places.push(x, y, z);
+  // The faces of a cube: its axis, its side, and its corners along the other axes, seen from outside.
+  const FACES = [0, 1, 2].flatMap((axis) => [0, 1].map((side) => {
+    const corners = [[0, 0], [1, 0], [1, 1], [0, 1]];
+    return { axis, side, corners: side ? corners : corners.reverse() };
+  }));
+  // Edges are drawn by the shader, where cubes are large enough to have some.
+  const EDGES = `#include <color_fragment>
+    vec2 pixel = fwidth(vEdge), inside = min(vEdge, 1.0 - vEdge) / pixel;
+    float edge = (1.0 - smoothstep(0.2, 1.2, min(inside.x, inside.y))) * (1.0 - smoothstep(0.1, 0.35, max(pixel.x, pixel.y)));
+    vec3 pen = dot(diffuseColor.rgb, vec3(0.3, 0.6, 0.1)) < 0.03 ? diffuseColor.rgb + 0.12 : 0.4 * diffuseColor.rgb;
+    diffuseColor.rgb = mix(diffuseColor.rgb, pen, edge);`;
+  function edged(shader) {
+    shader.vertexShader = shader.vertexShader.replace("void main() {", "attribute vec2 edge;\nvarying vec2 vEdge;\nvoid main() {\nvEdge = edge;");
+    shader.fragmentShader = shader.fragmentShader.replace("void main() {", "varying vec2 vEdge;\nvoid main() {").replace("#include <color_fragment>", EDGES);
+  }
+
+  // Cubes as a mesh of those faces that no neighbour hides.
+  // cells: x, y, z of each; level: how opaque a voxel is, 0 where there is none; paint: its colour.
+  function cubes(cells, level, paint, size, material) {
+    const faces = [], at = [0, 0, 0];
+    for (let n = 0; n < cells.length; n += 3) {
+      const own = level(cells[n], cells[n + 1], cells[n + 2]);
+      FACES.forEach(({ axis, side }, face) => {
+        for (let m = 0; m < 3; m++) at[m] = cells[n + m];
+        at[axis] += side ? 1 : -1;
+        if (level(...at) < own) faces.push(n, face);
+      });
     }
-    const kind = kinds.get(name), count = places.length / 3;
-    const half = /occupancy|predicted/.test(kind) && shown.has("observed"), clear = CLEAR[kind] ?? (half ? 0.5 : 1);
-    const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: !(kind in CLEAR) });
-    const mesh = new THREE.InstancedMesh(cube, material, count);
-    const size = sample.voxel * (kind in CLEAR ? 0.6 : kind in PLAIN ? 1.02 : 0.98); // outer ones win
-    const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
-    const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(sample.shape[2] - 1, 1))));
-    const right = { missed: fields.masks[owners.get(name)], invented: fields.masks.occupancy }[kind];
+    const count = faces.length / 2, edge = sample.voxel;
+    const position = new Float32Array(12 * count), normal = new Int8Array(12 * count), index = new Uint32Array(6 * count);
+    const colour = new Uint16Array(16 * count), corner = new Uint8Array(8 * count), tint = new THREE.Color();
+    let painted = -1, opaque = 1;
     for (let n = 0; n < count; n++) {
-      const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
-      place.setPosition((x + 0.5) * sample.voxel, (y + 0.5) * sample.voxel, (z + 0.5) * sample.voxel);
-      mesh.setMatrixAt(n, place);
-      mesh.setColorAt(n, right ? wrong(PLAIN[kind], right, x, y, z) : colour.copy(heights[z]));
+      const cell = faces[2 * n], { axis, side, corners } = FACES[faces[2 * n + 1]];
+      if (cell !== painted) opaque = paint(tint, cells[cell], cells[cell + 1], cells[cell + 2]) ?? 1;
+      painted = cell;
+      corners.forEach(([u, v], m) => {
+        const first = 12 * n + 3 * m, [across, up] = [(axis + 1) % 3, (axis + 2) % 3];
+        position[first + axis] = (cells[cell + axis] + 0.5 + (side - 0.5) * size) * edge;
+        position[first + across] = (cells[cell + across] + u) * edge;
+        position[first + up] = (cells[cell + up] + v) * edge;
+        normal[first + axis] = side ? 127 : -127;
+        colour.set([65535 * tint.r, 65535 * tint.g, 65535 * tint.b, 65535 * opaque], 16 * n + 4 * m);
+        corner.set([u, v], 8 * n + 2 * m);
+      });
+      index.set([0, 1, 2, 0, 2, 3].map((m) => 4 * n + m), 6 * n);
     }
+    const shape = new THREE.BufferGeometry().setIndex(new THREE.BufferAttribute(index, 1));
+    shape.setAttribute("position", new THREE.BufferAttribute(position, 3));
+    shape.setAttribute("normal", new THREE.BufferAttribute(normal, 3, true));
+    shape.setAttribute("color", new THREE.BufferAttribute(colour, 4, true));
+    shape.setAttribute("edge", new THREE.BufferAttribute(corner, 2));
+    const mesh = new THREE.Mesh(shape, Object.assign(new THREE.MeshLambertMaterial({ vertexColors: true, ...material }), { onBeforeCompile: edged }));
+    mesh.userData.voxels = true;
     return mesh;
+  }
+
+  const tints = () => Array.from({ length: sample.shape[2] }, (_, z) => rgb(ramp(data.colours.heights, z / Math.max(sample.shape[2] - 1, 1))));
+  function cellsWhere(is) {
+    const [nx, ny] = sample.shape, nz = cut(), cells = [];
+    for (let x = 0; x < nx; x++) for (let y = 0; y < ny; y++) for (let z = 0; z < nz; z++) if (is(x, y, z)) cells.push(x, y, z);
+    return cells;
+  }
+
+  function voxels(bits, name) {
+    const nz = cut(), kind = kinds.get(name), owner = owners.get(name);
+    const right = { missed: fields.masks[owner], invented: fields.masks.occupancy }[kind];
+    // a shell one voxel thick around what is right is no failure
+    const level = right
+      ? (x, y, z) => z < nz && bit(bits, x, y, z) && !touches(right, x, y, z)
+      : (x, y, z) => z < nz && bit(bits, x, y, z);
+    const half = /occupancy|predicted/.test(kind) && shown.has("observed"), clear = CLEAR[kind] ?? (half ? 0.5 : 1);
+    const size = kind in CLEAR ? 0.9 : kind in PLAIN ? 1.02 : 0.98; // outer ones win
+    const heights = tints(), plain = PLAIN[kind] && rgb(PLAIN[kind]);
+    const paint = (tint, x, y, z) => void tint.copy(right ? wrong(PLAIN[kind], right, x, y, z) : plain ?? heights[z]);
+    return cubes(cellsWhere(level), level, paint, size, { transparent: clear < 1, opacity: clear, depthWrite: !(kind in CLEAR) });
+  }
+
+  // Voxels by their probability: those of less than a tenth are left out, others as opaque as likely.
+  function doubts(chance) {
+    const [nx, ny, n] = sample.shape, nz = cut(), heights = tints();
+    const byte = (x, y, z) => (x >= 0 && y >= 0 && z >= 0 && x < nx && y < ny && z < nz ? chance[(x * ny + y) * n + z] : 0);
+    const level = (x, y, z) => { const is = byte(x, y, z); return is < 26 ? 0 : 1 + (is >> 5); };
+    // the surest first: they hide others, and are seen through them
+    const cells = cellsWhere((...at) => level(...at) > 0), order = Array.from({ length: cells.length / 3 }, (_, m) => 3 * m);
+    order.sort((one, other) => level(...cells.slice(other, other + 3)) - level(...cells.slice(one, one + 3)));
+    const sorted = order.flatMap((m) => cells.slice(m, m + 3));
+    const paint = (tint, x, y, z) => { tint.copy(heights[z]); return byte(x, y, z) / 255; };
+    return cubes(sorted, level, paint, 0.98, { transparent: true });
+  }
+
+  function classed({ voxels: numbers, names }) {
+    const [nx, ny, n] = sample.shape, nz = cut();
+    const level = (x, y, z) => x >= 0 && y >= 0 && z >= 0 && x < nx && y < ny && z < nz && numbers[(x * ny + y) * n + z] > 0;
+    const colours = names.map((name) => fields.classes.counts.get(name) && rgb(classColour(name)));
+    return cubes(cellsWhere(level), level, (tint, x, y, z) => void tint.copy(colours[numbers[(x * ny + y) * n + z]]), 0.98, {});
   }
 
   function lines(from, to, colour, opacity) {
@@ -262,12 +300,7 @@
     return new THREE.Mesh(plane, new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide }));
   }
 
-  function ball(place, radius, colour) {
-    const made = new THREE.Mesh(new THREE.SphereGeometry(radius, 24, 16), new THREE.MeshLambertMaterial({ color: rgb(colour) }));
-    made.position.set(...place);
-    return made;
-  }
-
+  const headingOf = ([w, x, y, z]) => Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), heading = () => headingOf(sample.quaternion);
   const large = () => sample.voxel * Math.max(0.02 * Math.max(...sample.shape), 0.5); // of a ball that one should see
 
   function routes() {
@@ -279,11 +312,15 @@
       if (route.hit) all.add(ball(route.hit, 2.4 * thick, data.colours.invented));
       route.points.slice(1).forEach((to, n) => {
         const from = new THREE.Vector3(...route.points[n]), end = new THREE.Vector3(...to);
-        all.add(new THREE.Mesh(new THREE.TubeGeometry(new THREE.LineCurve3(from, end), 1, thick, 8), material));
-        const joint = new THREE.Mesh(new THREE.SphereGeometry(thick, 8, 6), material);
+        const wide = route.flown && n + 1 >= route.flown ? thick / 2.5 : thick; // planned, not flown yet
+        all.add(new THREE.Mesh(new THREE.TubeGeometry(new THREE.LineCurve3(from, end), 1, wide, 8), material));
+        const joint = new THREE.Mesh(new THREE.SphereGeometry(wide, 8, 6), material);
         joint.position.copy(end);
         all.add(joint);
       });
+    }
+    for (const { hit } of film?.ends ?? []) { // where flights through this world hit something
+      if (hit) all.add(ball(hit.map((value, n) => value - sample.origin[n]), 0.7 * large(), data.colours.invented));
     }
     return all.children.length && all;
   }
@@ -331,22 +368,20 @@
     names.forEach(fill);
   };
 
-  function surface(corners) {
-    const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(corners, 3));
-    shape.computeVertexNormals();
-    const colours = new Float32Array(corners.length), high = sample.shape[2] * sample.voxel;
-    for (let n = 0; n < corners.length; n += 3) rgb(ramp(data.colours.heights, corners[n + 2] / high)).toArray(colours, n);
-    shape.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+  function solid(corners) {
+    const high = sample.shape[2] * sample.voxel, shape = surface(corners, (z) => rgb(ramp(data.colours.heights, z / high)));
     return new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ vertexColors: true, side: THREE.DoubleSide, clippingPlanes: [below] }));
   }
 
   function built(name) {
-    if (name === "world") return fields.solids ? surface(fields.solids) : live && void solids();
+    if (name === "world") return fields.solids ? solid(fields.solids) : live && void solids();
     if (kinds.get(name) === "distances") {
       const tudf = fields.tudf[owners.get(name) ?? "truth"];
       return tudf && slice(tudf);
     }
     if (name === "paths") return routes();
+    if (name === "classes") return fields.classes && classed(fields.classes);
+    if (kinds.get(name) === "doubt") return fields.chance[owners.get(name)] ? doubts(fields.chance[owners.get(name)]) : wanted(name) && fields.masks[owners.get(name)] && voxels(fields.masks[owners.get(name)], owners.get(name));
     if (name === "points" && fields.points) {
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
       return new THREE.Points(shape, new THREE.PointsMaterial({ color: ink, size: 3, sizeAttenuation: false, clippingPlanes: [below] }));
@@ -360,7 +395,7 @@
     if (!old) return;
     scene.remove(old);
     old.traverse((part) => {
-      if (part.geometry !== cube) part.geometry?.dispose();
+      part.geometry?.dispose();
       part.material?.map?.dispose();
       part.material?.dispose();
       part.dispose?.();
@@ -372,6 +407,7 @@
     drop(name);
     const made = renderer && wanted(name) && built(name);
     if (made) scene.add(layers[name] = made);
+    if (/classes|doubt|missed|invented/.test(kinds.get(name))) legend();
     const axis = +find("axis").value, level = +find("level").value;
     find("at").textContent = `${(sample.origin[axis] + (level + 0.5) * sample.voxel).toFixed(2)} m`;
     document.body.dataset.layers = Object.keys(layers).sort().join(" ");
@@ -385,7 +421,7 @@
     const size = sample.shape.map((count) => count * sample.voxel);
     const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
     scene.add(layers["#box"] = new THREE.Box3Helper(box, new THREE.Color(ink)));
-    if (sample.sensor) scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
+    if (sample.sensor) scene.add(layers["#sensor"] = sensorAt(fields.sensor, sample.quaternion, sample.fov, 0.1 * Math.hypot(...size)));
     ["x", "y", "z"].forEach((name, axis) => {
       const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), pen = sign.getContext("2d");
       pen.font = "40px system-ui, sans-serif";
@@ -425,7 +461,7 @@
     const across = views() * (event.clientX - left) / width, view = Math.floor(across);
     const at = new THREE.Vector2(2 * (across - view) - 1, 1 - 2 * (event.clientY - top) / height);
     caster.setFromCamera(at, camera);
-    const seen = names.filter((name) => layers[name]?.isInstancedMesh && shows(view, name));
+    const seen = names.filter((name) => layers[name]?.userData.voxels && shows(view, name));
     const [hit] = caster.intersectObjects(seen.map((name) => layers[name]));
     drop("#picked");
     find("picked").textContent = hit ? picked(hit.point.addScaledVector(hit.face.normal, -0.1 * sample.voxel)) : "";
@@ -441,6 +477,9 @@
       const value = all[(cell[0] * ny + cell[1]) * nz + cell[2]] / 255;
       return `${name} ${value < 1 ? (value * sample.truncation).toFixed(2) : `${sample.truncation} or more`} m`;
     });
+    const number = (cell[0] * ny + cell[1]) * nz + cell[2];
+    if (fields.classes?.voxels[number]) is.push(`class ${fields.classes.names[fields.classes.voxels[number]]}`);
+    for (const [name, all] of Object.entries(fields.chance)) is.push(`${name} ${Math.round(all[number] / 2.55)} %`);
     const place = cell.map((one, n) => (sample.origin[n] + (one + 0.5) * sample.voxel).toFixed(2));
     return `Voxel ${cell.join(", ")} at ${place.join(", ")} m: ${is.join(", ") || "nothing"}. Distances: ${distances.join(", ")}.`;
   }
@@ -514,19 +553,25 @@
       draw();
       return;
     }
-    const found = { masks: {}, tudf: {}, sensor: next.position.map((value, n) => value - next.origin[n]) };
+    const found = { masks: {}, tudf: {}, chance: {}, sensor: next.position.map((value, n) => value - next.origin[n]) };
     for (const [name, text] of Object.entries(next.masks)) found.masks[name] = await unpack(text);
     const { observed, free, occupancy } = found.masks;
     if (observed && free) found.masks.unknown = observed.map((byte, n) => ~(byte | free[n]));
     if (next.tudf) found.tudf.truth = await unpack(next.tudf);
     if (next.certain) found.certain = await unpack(next.certain);
     const scored = next.scored && await unpack(next.scored);
-    for (const { name, mask, tudf } of next.guesses) {
+    for (const { name, mask, tudf, chance } of next.guesses) {
       const bits = found.masks[name] = await unpack(mask);
       if (tudf) found.tudf[name] = await unpack(tudf);
+      if (chance) found.chance[name] = await unpack(chance);
       if (!occupancy) continue;
       found.masks[`${name}: missed`] = occupancy.map((byte, n) => byte & ~bits[n] & (scored ? scored[n] : 255));
       found.masks[`${name}: invented`] = bits.map((byte, n) => byte & ~occupancy[n] & (scored ? scored[n] : 255));
+    }
+    if (next.classes) {
+      const numbers = new Uint16Array((await unpack(next.classes.voxels)).buffer), counts = new Map();
+      for (const number of numbers) if (number) counts.set(next.classes.names[number], (counts.get(next.classes.names[number]) ?? 0) + 1);
+      found.classes = { voxels: numbers, names: next.classes.names, counts };
     }
     if (next.points) {
       const whole = new Int16Array((await unpack(next.points)).buffer);
@@ -537,6 +582,11 @@
     const first = !placed || `${sample?.shape}` !== `${next.shape}`, levels = sample?.shape[+find("axis").value];
     [sample, fields, current, placed] = [next, found, number, true];
     which.value = current;
+    names.forEach((name, n) => { // what this sample lacks is no choice
+      const kind = kinds.get(name);
+      if (kind === "classes") boxes[n].parentElement.hidden = !fields.classes;
+      if (kind === "doubt") boxes[n].parentElement.hidden = !fields.chance[owners.get(name)];
+    });
     if (levels !== sample.shape[+find("axis").value]) middle();
     placeCut();
     frame();
@@ -545,7 +595,7 @@
       sample: sample.name,
       ...(sample.sensor && {
         position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
-        heading: `${sample.heading.toFixed(1)}°`,
+        heading: `${(heading() * 180 / Math.PI).toFixed(1)}°`,
       }),
       grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,
       ...sample.figures,
@@ -557,6 +607,7 @@
     }));
     legend();
     if (first) view(false);
+    now();
     drop("#picked");
     find("picked").textContent = "";
     const from = told.get("camera")?.split("~").map(Number);
@@ -579,10 +630,23 @@
       return [strip, ends];
     };
     const low = sample.origin[2], high = low + sample.shape[2] * sample.voxel, metres = (value) => `${(Math.round(value * 10) / 10 || 0).toFixed(1)} m`;
-    find("legend").replaceChildren(
+    const parts = [
       ...bar("height", data.colours.heights, metres(low), metres(high)),
       ...bar("distance", data.colours.distances, "0 m", `${sample.truncation} m`),
-    );
+    ];
+    if (names.some((name) => kinds.get(name) === "doubt" && layers[name]) && Object.keys(fields.chance).length) {
+      parts.push(...bar("doubt: as opaque as probable", [[...ground, 0.1], [...data.colours.heights[5], 1]], "10 %", "100 %"));
+    }
+    if (layers.classes) for (const [name, count] of [...fields.classes.counts].sort((one, other) => other[1] - one[1])) {
+      const line = make("label"), swatch = make("i");
+      swatch.style.background = `rgb(${classColour(name)})`;
+      line.append(swatch, make("span", `${name}, ${count} voxels`));
+      parts.push(line);
+    }
+    if (names.some((name) => /missed|invented/.test(kinds.get(name)) && layers[name])) {
+      parts.push(make("div", "Errors that touch a voxel that is right are counted, but not drawn."));
+    }
+    find("legend").replaceChildren(...parts);
   }
 
   function middle() {
@@ -635,6 +699,58 @@
     if (playing) await play();
   }
   find("play").onclick = play;
+
+  // A film has its robot followed; a flight's has curves, in which one sees and chooses the time.
+  find("follow-row").hidden = !data.film;
+  find("camera").onchange = () => { find("camera").value === "free" ? view(false) : now(); };
+  const cursors = [];
+  function now() {
+    if (!data.film || !sample) return;
+    const how = find("camera").value;
+    if (how !== "free") follow(fields.sensor, heading(), how, 4, playing ? 200 : 1);
+    if (film) cursors.forEach((at) => at(film.times[current]));
+  }
+  function curve(name, values) {
+    const svg = (tag, names) => {
+      const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+      Object.entries(names).forEach(([key, value]) => made.setAttribute(key, value));
+      return made;
+    };
+    const end = film.at.at(-1) || 1, top = Math.max(...values) || 1, [title, unit] = name.split(", ");
+    const box = svg("svg", { viewBox: "0 0 1000 100", preserveAspectRatio: "none", class: "curve", role: "img", "aria-label": name });
+    const spots = film.at.map((time, n) => `${(1000 * time / end).toFixed(1)},${(97 - 92 * values[n] / top).toFixed(1)}`);
+    const cursor = svg("line", { y1: 0, y2: 100, class: "cursor" });
+    box.append(svg("polyline", { points: spots.join(" ") }), cursor);
+    if (film.ends[film.flight].hit) box.append(svg("line", { x1: 999, x2: 999, y1: 0, y2: 100, class: "hit" }));
+    const words = Object.assign(make("div"), { className: "ends" }), read = make("span");
+    words.append(make("span", `${title}, 0 to ${top.toFixed(2)} ${unit}`), read);
+    const at = (time) => {
+      const near = film.at.reduce((best, one, n) => (Math.abs(one - time) < Math.abs(film.at[best] - time) ? n : best), 0);
+      read.textContent = `${values[near].toFixed(2)} ${unit} at ${film.at[near].toFixed(1)} s`;
+      cursor.setAttribute("x1", 1000 * time / end);
+      cursor.setAttribute("x2", 1000 * time / end);
+    };
+    cursors.push(at);
+    const timeAt = (event) => end * (event.clientX - box.getBoundingClientRect().left) / box.getBoundingClientRect().width;
+    box.onpointermove = (event) => cursors.forEach((one) => one(timeAt(event)));
+    box.onpointerleave = () => cursors.forEach((one) => one(film.times[current]));
+    box.onclick = (event) => show(film.times.reduce((best, one, n) => (Math.abs(one - timeAt(event)) < Math.abs(film.times[best] - timeAt(event)) ? n : best), 0));
+    find("curves").append(words, box);
+  }
+  if (film) {
+    film.times = data.samples.map((one) => parseFloat(one.name));
+    film.at = Object.values(film.curves)[0].map((_, n) => Math.min(n * film.period_s, film.time_s));
+    Object.entries(film.curves).forEach(([name, values]) => curve(name, values));
+    const others = film.ends.filter((_, n) => n !== film.flight), list = make("details");
+    find("curves").append(Object.assign(make("p", film.ends[film.flight].text), { id: "outcome" }));
+    list.append(make("summary", `${others.length} other flights through this world, ${others.filter((one) => one.hit).length} with a hit`));
+    for (const { text, hit } of others) {
+      const line = Object.assign(make("div", text), { className: "flight" });
+      if (hit) line.onclick = () => { controls.target.set(...hit.map((value, n) => value - sample.origin[n])); controls.update(); };
+      list.append(line);
+    }
+    if (others.length) find("curves").append(list);
+  }
   find("before").onclick = () => show(current - 1);
   find("next").onclick = () => show(current + 1);
   find("axis").onchange = () => { middle(); step(0); };

@@ -81,8 +81,9 @@ def page(
     # in the order of appearance: colours of methods follow it
     methods = list(dict.fromkeys(guess.name for look in looks for guess in look.guesses))
     masks = list(dict.fromkeys(name for look in looks for name in look.masks))
-    content = {"title": title, "notes": notes, "samples": samples, "masks": masks, "film": film}
-    return _filled(content, methods)
+    curves: Any = film and (looks[0].film or True)
+    content = {"title": title, "notes": notes, "samples": samples, "masks": masks, "film": curves}
+    return filled(content, methods)
 
 
 def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequence[str]) -> str:
@@ -97,11 +98,22 @@ def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequ
     live = {"datasets": datasets, "split": split, "index": index}
     title = datasets[0]["name"]
     content = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
-    return _filled(content, methods, "; connect-src 'self'")
+    return filled(content, methods, FETCHES)
 
 
-def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
-    """Fill the template with the script's data; `policy` extends the content security policy."""
+FETCHES = "; connect-src 'self'"
+"""What a page that fetches from its server adds to the content security policy."""
+
+
+def filled(content: Json, methods: Sequence[str], policy: str = "", script: str = "page.js") -> str:
+    """Fill the template.
+
+    Args:
+        content: Data for the script: `title`, `notes`, and what it shows.
+        methods: Names of the methods that predict.
+        policy: Extends the content security policy.
+        script: File of the script.
+    """
     colours = list(zip(methods, path_colours(methods), strict=True))
     # still JSON, but no text in it can end the <script> element that holds it
     data = json.dumps({"colours": ON_PAGE, "methods": colours, **content}).replace("<", "\\u003c")
@@ -112,7 +124,7 @@ def _filled(content: Json, methods: Sequence[str], policy: str = "") -> str:
         "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
         "THREE": _gzip64((HERE / "three" / "three.module.min.js").read_bytes()),
         "ORBIT": _gzip64((HERE / "three" / "OrbitControls.js").read_bytes()),
-        "SCRIPT": _text("page.js"),
+        "SCRIPT": _text("stage.js") + _text(script),
         "DATA": data,
     }
     # split once, so that names of parts within the data are not replaced
@@ -146,6 +158,9 @@ def packed(look: Look) -> Json:
         reach = float(np.abs(from_sensor).max(initial=1e-6))
         packed = _gzip64(np.rint(from_sensor / reach * 32767).astype("<i2").tobytes())
         optional |= {"points": packed, "reach": reach, "own": len(look.scans[0])}
+    if look.classes is not None:
+        numbers, names = look.classes
+        optional["classes"] = {"names": names, "voxels": _gzip64(numbers.astype("<u2").tobytes())}
     if look.surfaces:
         optional |= packed_world(look.surfaces, look.origin)
     return {
@@ -156,7 +171,8 @@ def packed(look: Look) -> Json:
         "truncation": grid.truncation_m,
         "origin": look.origin.tolist(),
         "position": look.position.tolist(),
-        "heading": look.heading_deg(),
+        "quaternion": np.round(look.quaternion, 6).tolist(),
+        "fov": look.fov_deg,
         "figures": look.figures(),
         "missing": list(look.missing),
         "masks": {name: _bits(mask) for name, mask in look.masks.items()},
@@ -190,9 +206,11 @@ def _packed_guess(guess: Guess, look: Look) -> Json:
     entry: Json = {"name": guess.name, "mask": _bits(guess.occupied)}
     if guess.tudf is not None:
         entry["tudf"] = _distances(guess.tudf, look.grid)
+    if guess.chance is not None:
+        entry["chance"] = _bytes(guess.chance)
     if (route := guess.route) is not None:
         ends = {"start": local(route.start), "goal": local(route.goal), "hit": local(route.hit)}
-        entry["route"] = {**ends, "points": local(route.points) or []}
+        entry["route"] = {**ends, "points": local(route.points) or [], "flown": route.flown}
     return entry
 
 
@@ -201,8 +219,12 @@ def _bits(mask: Mask) -> str:
 
 
 def _distances(tudf: Field, grid: GridSpec) -> str:
+    return _bytes(tudf / grid.truncation_m)
+
+
+def _bytes(shares: Field) -> str:
     # damaged distances may be NaN, which has no byte
-    shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
+    shares = np.nan_to_num(shares, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 
 
@@ -227,6 +249,10 @@ SAFE = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Headers of every answer, so that no other site can frame or read it."""
+
+
+Reply = tuple[HTTPStatus, str, bytes]
+"""Status, media type and content of an answer."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -297,19 +323,14 @@ class PageServer(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """Answer a request of the page for a part. This page has all its parts in it.
+    def reply(self, path: str) -> Reply | None:
+        """Answer a request of the page for a part; None if there is none at this path. This page
+        has all its parts in it.
 
         Args:
-            kind: "sample" or "world".
-            number: Number of the dataset.
-            split: Name of the split.
-            index: Index of the sample in the split.
-
-        Returns:
-            Status, and a line in `error`.
+            path: Path of the address.
         """
-        return HTTPStatus.NOT_FOUND, {"error": "no such part"}
+        return None
 
 
 class Live(PageServer):
@@ -362,18 +383,15 @@ class Live(PageServer):
         super().server_close()
         self._reading.acquire()
 
-    def answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
-        """Answer a request of the page.
+    def reply(self, path: str) -> Reply | None:
+        """Answer with a sample or its world as JSON, or a line in `error`, see
+        `PageServer.reply`."""
+        if (request := REQUEST.fullmatch(path)) is None:
+            return None
+        status, answer = self._answer(request[1], int(request[2]), request[3], int(request[4]))
+        return status, "application/json", json.dumps(answer).encode()
 
-        Args:
-            kind: "sample" or "world".
-            number: Number of the dataset.
-            split: Name of the split.
-            index: Index of the sample in the split.
-
-        Returns:
-            Status, and the sample or its world, or a line in `error`.
-        """
+    def _answer(self, kind: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
         if number >= len(self.datasets):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
         samples = self.datasets[number].split(split)
@@ -407,6 +425,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "scenegen", ""
     protocol_version = "HTTP/1.1"
     timeout = IDLE_S
+    disable_nagle_algorithm = True  # else an answer can wait 40 ms for the browser's receipt
 
     def do_GET(self) -> None:
         """Answer with the page, a sample or a world."""
@@ -416,11 +435,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal)
         elif self.path == "/":
             self._answer(HTTPStatus.OK, "text/html", self.server.page)
-        elif request := REQUEST.fullmatch(self.path):
-            status, answer = self.server.answer(
-                request[1], int(request[2]), request[3], int(request[4])
-            )
-            self._answer(status, "application/json", json.dumps(answer).encode())
+        elif reply := self.server.reply(self.path):
+            self._answer(*reply)
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"no such page\n")
 

@@ -1,6 +1,7 @@
 """What `inspect` says of scans, predictions and runs is what is in them; and they are drawn."""
 
 import json
+import shutil
 
 import h5py
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import scenegen
 from scenegen.base.errors import DatasetError
+from scenegen.model.completion.scans import looks_of_completion
 from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, run
 from tests.refusals import refuses, refuses_command
@@ -95,6 +97,22 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
     assert '<img src="data:image/png;base64,' in (here / "picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
+
+
+def test_completions_of_a_folder_are_shown(here):
+    (here / "many").mkdir()
+    (here / "many" / "completions.json").write_text("{}")
+    for name in ("a.h5", "b.h5"):
+        shutil.copy(here / "done.h5", here / "many" / name)
+    assert [look.name for look in looks_of_completion(here / "many")] == ["a", "b"]
+    (here / "many" / "predictions.json").write_text("{}")
+    refuses("predictions", looks_of_completion, here / "many", error=DatasetError)
+
+
+def test_a_changed_completion_is_refused(here):
+    with h5py.File(here / "done.h5", "a") as file:
+        file.attrs["digest"] = "00"
+    refuses("changed", looks_of_completion, here / "done.h5", error=DatasetError)
 
 
 def test_other_files_are_refused(here, capsys):

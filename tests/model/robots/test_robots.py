@@ -12,13 +12,14 @@ from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.pose import rotate
 from scenegen.base.errors import GenerationError
 from scenegen.base.executors import undo_all
-from scenegen.fly import Vehicle, missions, suite
-from scenegen.fly.course import Course, read_recording
+from scenegen.fly import Rules, Vehicle, missions, suite
+from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
 from scenegen.model.completion.protocol import Conservative, Returns
 from scenegen.model.robots import NAMES, flights, mapping
+from scenegen.model.robots.film import ENDS, looks_of_recording
 from scenegen.model.robots.flights import ANEW, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from tests.command_line import done, rows, run
@@ -162,7 +163,8 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
     first = json.loads(done(capsys, f"{words} {outputs}"))
     assert picture.read_bytes()[:4] == b"\x89PNG"
     ((course, (flown,)),) = read_recording(file).courses
-    moments = Seen(film.read_text()).data()["samples"]
+    filmed = Seen(film.read_text()).data()
+    moments = filmed["samples"]
     assert len(moments) == (len(flown.commands) + 2) // 3 + 1
     assert moments[-1]["figures"]["reactive: path"].startswith(flown.outcome)
     scans = list(read_log(log).scans())
@@ -178,6 +180,14 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
     assert again.read_bytes() == film.read_bytes()
     assert digests_of(second) == digests_of(first)
     assert second[ANEW] == "1 of 1 flights"
+    done(capsys, f"view {file} -o {tmp_path}/view.html")
+    viewed = Seen((tmp_path / "view.html").read_text()).data()
+    assert {key: viewed[key] for key in ("samples", "film")} == {
+        key: filmed[key] for key in ("samples", "film")
+    }
+    speed, clearance = filmed["film"]["curves"].values()
+    assert len(speed) == len(flown.commands) + 1
+    assert min(clearance) == pytest.approx(flown.min_clearance_m, abs=1e-3)
     for robot, shown in (("optimistic", "0 of 1 flights"), ("no_such:Robot", "no_such")):
         code, said, line = run(capsys, f"{replay} {robot}")
         assert (code, shown in said) == (1, True)
@@ -185,6 +195,54 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(flights, "fly_again", None)  # nothing is flown in vain
     refuses_command(capsys, f"{words} --log {log}")
     refuses_command(capsys, f"fly replay {file} --weights nonet")
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Writes a recording of a flight along x; the flight and the file."""
+    course = Course(world="pillar", seed=4, flights=1, rules=Rules(apart_m=4.0))
+
+    def write(**changes):
+        flown = fly(course.simulation(0), Straight())
+        recording = Recording(robot="mine:Robot", suite=None, courses=[(course, [flown])])
+        text = json.loads(replace(recording, **changes).encoded())
+        file = tmp_path / "flights.json"
+        file.write_text(json.dumps(text))
+        return flown, file
+
+    return write
+
+
+class Straight:
+    """Flies along x."""
+
+    def reset(self, about):
+        pass
+
+    def act(self, seen):
+        return [1.5, 0.0, 0.0, 0.0]
+
+
+def test_a_recorded_robot_is_not_started(recorded):
+    flown, file = recorded()
+    looks = looks_of_recording(file)
+    assert "mine:Robot is not started" in looks[0].missing[0]
+    (end,) = looks[0].film["ends"]
+    assert end["text"].startswith(f"flight 0 {ENDS[flown.outcome]}")
+    assert ("hit" in end) == (flown.outcome == "collision")
+
+
+def test_a_recorded_map_is_shown(recorded):
+    looks = looks_of_recording(recorded(robot="optimistic")[1])
+    assert looks[0].missing == ()
+    assert looks[-1].guesses[0].occupied.any()
+
+
+def test_a_changed_flight_is_not_shown(recorded, capsys):
+    _, file = recorded()
+    file.write_text(file.read_text().replace("[1.5, 0.0", "[-1.5, 0.0", 1))
+    refuses_command(capsys, f"view {file} -o {file}.html")
+    refuses_command(capsys, f"view {file} --index 3 -o {file}.html")
 
 
 def digests_of(report):

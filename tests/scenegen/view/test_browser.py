@@ -1,13 +1,17 @@
 """The page in a real browser: needs Chromium and playwright, which is in none of our extras."""
 
 import shutil
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from lidarsim import GridSpec
+from scenegen.view.live import view_live
 from scenegen.view.look import Guess, Look, Route
 from scenegen.view.page import page
+from tests.scenegen.view.test_live import running as running  # a fixture
 from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
 
@@ -34,7 +38,7 @@ def browser():
         opened.close()
 
 
-def reached(browser, address, first=0, **how):
+def reached(browser, address, first="body[data-sample='0']", **how):
     """The page at an address once its first sample shows, and the list of what its console says
     against it, and of requests to other places."""
     told = []
@@ -47,7 +51,7 @@ def reached(browser, address, first=0, **how):
         "request", lambda asked: None if asked.url.startswith(allowed) else told.append(asked.url)
     )
     tab.goto(address)
-    tab.wait_for_selector(f"body[data-sample='{first}']", state="attached", timeout=60_000)
+    tab.wait_for_selector(first, state="attached", timeout=60_000)
     return tab, told
 
 
@@ -59,7 +63,7 @@ def state(tab, name):
 def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, made):
     with served(made) as server:
         place = f"{server.address}#sample=2&split=train&layers=occupancy~free"
-        tab, told = reached(browser, place, first=2)
+        tab, told = reached(browser, place, "body[data-sample='2']")
         assert state(tab, "layers").split()[-2:] == ["free", "occupancy"]
         box = tab.locator("canvas#scene").bounding_box()
         spots = [(0.55 + 0.05 * n, 0.4 + 0.05 * m) for n in range(6) for m in range(6)]
@@ -89,7 +93,7 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
     with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
-        tab, told = reached(browser, server.address, first=2)
+        tab, told = reached(browser, server.address, "body[data-sample='2']")
         assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
         tab.get_by_role("button", name="wrong").click()
         assert "invented" in state(tab, "layers")
@@ -120,7 +124,7 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
 
 PIXELS = """() => {
   const [canvas, count] = [document.querySelector("#scene"), +document.body.dataset.views];
-  const wide = Math.floor(canvas.clientWidth / count);
+  const wide = 2 * Math.floor(canvas.clientWidth / count / 2);
   return Array.from({ length: count }, (_, n) => {
     const copy = Object.assign(document.createElement("canvas"), { width: wide, height: 700 });
     copy.getContext("2d").drawImage(canvas, -n * wide, 0);
@@ -181,9 +185,59 @@ def film(tmp_path):
                 guesses=(Guess(name="robot", occupied=seen, tudf=None, route=route),),
             )
         )
+    ends = [{"text": "flight 0 hits an obstacle after 2.00 s at 3.00, 1.50, 1.00 m"}]
+    ends[0]["hit"] = [3.0, 1.5, 1.0]
+    curves = {"speed, m/s": [n / 10 for n in range(21)], "least clearance, m": [1.0] * 20 + [0.3]}
+    flight = {"flight": 0, "ends": ends, "period_s": 0.1, "time_s": 2.0, "curves": curves}
+    moments[0] = replace(moments[0], film=flight)
     file = tmp_path / "film.html"
     file.write_text(page(moments, title="a flight", film=True))
     return file.as_uri()
+
+
+def test_a_flight_has_curves_and_hits(browser, film):
+    tab, complaints = reached(browser, film)
+    assert "after 2.00 s at 3.00, 1.50, 1.00 m" in tab.locator("#outcome").inner_text()
+    speed = tab.locator(".curve").first
+    assert speed.locator(".hit").count() == 1
+    box = speed.bounding_box()
+    tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + 5)
+    assert "1.00 m/s at 1.0 s" in tab.locator("#curves").inner_text()
+    speed.click()  # in its middle
+    tab.wait_for_selector("body[data-sample='1']", state="attached")
+    assert complaints == []
+
+
+def test_the_camera_follows_until_it_is_turned(browser, film):
+    tab, complaints = reached(browser, film)
+    tab.locator("#camera").select_option("behind")
+    tab.wait_for_timeout(400)
+    seen = tab.evaluate(PIXELS)
+    tab.locator("#next").click()
+    tab.wait_for_timeout(400)
+    assert tab.evaluate(PIXELS) != seen
+    tab.mouse.move(600, 300)
+    tab.mouse.down()
+    tab.mouse.move(640, 300)
+    tab.mouse.up()
+    assert tab.locator("#camera").input_value() == "free"
+    assert complaints == []
+
+
+def test_a_running_simulation_is_drawn_live(browser, running):
+    sensor, data = running
+    with view_live(sensor, browser=False) as viewer:
+        viewer.update(data)
+        tab, complaints = reached(browser, viewer.address, "body[data-frames='1']")
+        for n in range(20):
+            data.mocap_pos[0] = n / 10, 0.0, 1.0
+            mujoco.mj_kinematics(sensor.model, data)
+            (scan,) = viewer.update(data)
+            tab.wait_for_timeout(50)
+        tab.wait_for_selector(f"body[data-points='{len(scan.points())}']", state="attached")
+        assert int(state(tab, "frames")) >= 2
+        tab.get_by_text("1.90, 0.00, 1.00 m").wait_for()
+        assert complaints == []
 
 
 def test_a_flight_opens_on_belief_and_has_a_timeline(browser, film):

@@ -9,14 +9,18 @@ import socket
 import threading
 from contextlib import contextmanager
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lidarsim import attach
 from scenegen import SPLITS
 from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
+from scenegen.view import live
 from scenegen.view.glb import surfaces
+from scenegen.view.live import view_live
 from scenegen.view.look import Guess, look_into
 from scenegen.view.page import Live, packed
 from tests.refusals import refuses_command
@@ -122,6 +126,53 @@ def test_an_address_that_cannot_be_had_is_an_error(made):
 def test_what_cannot_be_served_ends_in_one_line(made, standing, capsys, words):
     (standing / "made").symlink_to(made)
     refuses_command(capsys, f"view made {words}")
+
+
+def taken(server, path):
+    """The header, the places of geoms and the points, metres, of a scan that is served."""
+    _, _, content = server.reply(path)
+    length = int.from_bytes(content[:4], "little")
+    head = json.loads(content[4 : 4 + length])
+    end = len(content) - 8 * head["points"]
+    places = np.frombuffer(content[4 + length : end], "<f4").reshape(-1, 12)
+    numbers = np.frombuffer(content[end:], "<i2").reshape(-1, 4)[:, :3]
+    return head, places, numbers / 32767 * head["reach"] + head["sensors"][0][:3]
+
+
+@pytest.fixture
+def running():
+    """A simulation of a robot beside a box, and its sensor."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom size="1 1 1" type="box"
+        pos="4 0 1"/><body name="robot" mocap="true" pos="0 0 1"><geom size=".2"/></body>
+        </worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return attach(model, "robot"), data
+
+
+def test_the_newest_scan_of_a_simulation_is_served(running):
+    sensor, data = running
+    with view_live(sensor, browser=False) as viewer:
+        viewer.update(data)
+        data.mocap_pos[0] = 1.0, 0.0, 1.0
+        mujoco.mj_kinematics(*(sensor.model, data))
+        (scan,) = viewer.update(data)
+        head, places, points = taken(viewer, "/scan/0")
+        assert (head["number"], head["points"]) == (2, len(scan.points()))
+        assert_allclose(points, scan.points(), atol=head["reach"] / 65534 + 1e-9)
+        assert_allclose(places[2, :3], (1.0, 0.0, 1.0))
+        assert json.loads(viewer.reply("/solids")[2])["geoms"] == [0, 1, 2]
+        assert viewer.reply("/scan/../x") is None
+
+
+def test_a_page_without_a_newer_scan_gets_nothing(running, monkeypatch):
+    monkeypatch.setattr(live, "WAIT_S", 0.01)
+    with view_live(running[0], browser=False) as viewer:
+        assert viewer.reply("/scan/0")[2] == b""
+        with pytest.raises(ScenegenError, match="another --port"):
+            view_live(running[0], port=viewer.server_address[1], browser=False)
 
 
 def test_what_is_damaged_is_reported_and_other_samples_are_served(dataset):

@@ -104,6 +104,25 @@ def test_a_map_shows_what_is_unknown(tmp_path):
     assert not look.has_sensor
 
 
+def test_a_map_without_free_space_is_shown(tmp_path):
+    states = np.full((4, 3, 2), OCCUPIED, np.uint8)
+    path = tmp_path / "map.npz"
+    path.write_bytes(encode_map(VoxelMap(states, 0.5, np.zeros(3)), str(path)))
+    (look,) = opened.looks_of_world(path)
+    assert look.masks["occupancy"].sum() >= 24
+
+
+def test_columns_and_poses_are_taken(log, tmp_path):
+    poses, clouds = tmp_path / "poses.txt", tmp_path / "clouds"
+    (log / "poses.txt").rename(poses)
+    looks = opened.looks_of_scans(log, poses=poses)
+    assert_allclose(looks[2].position, (2.0, 0.0, 1.0))
+    clouds.mkdir()
+    np.hstack([POINTS, POINTS]).astype("<f4").tofile(clouds / "a.bin")
+    (look,) = opened.looks_of_scans(clouds, columns=6)
+    assert_allclose(look.points, POINTS)
+
+
 def test_a_world_is_shown_with_its_surfaces():
     path = ROOT / "scenes" / "room_with_gap.xml"
     (look,) = opened.looks_of_world(path)
@@ -148,8 +167,10 @@ def test_a_page_replaces_no_other_file(capsys, cloud, tmp_path):
     assert cloud.read_bytes() == before
 
 
-def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, cloud, tmp_path):
+def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, cloud, made, tmp_path):
     line = refused(capsys, "view", cloud, "--split", "test")
-    assert "--split: is for datasets" in line
+    assert "--split: is not for the type scan" in line
+    line = refused(capsys, "view", made, "--columns", "4")
+    assert "--columns: is not for the type dataset" in line
     (tmp_path / "recipe.toml").write_text("kind = 'pillar'\n")
     assert "recipe" in refused(capsys, "view", tmp_path / "recipe.toml")

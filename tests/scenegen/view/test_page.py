@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lidarsim import GridSpec
+from lidarsim import GridSpec, Lidar
 from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
-from scenegen.view.look import look_at, looks
+from scenegen.view.look import Guess, field_of_view, look_at, looks
 from scenegen.view.page import HERE, page
 from tests.refusals import refuses, refuses_command
 
@@ -68,6 +68,27 @@ def test_a_page_holds_what_its_samples_hold(made):
         points = np.frombuffer(unpacked(packed["points"]), "<i2").reshape(-1, 3) / 32767 * reach
         assert_allclose(points + sample.position, sample.points(), atol=reach / 65534 + 1e-9)
         assert packed["figures"]["returns"] == f"{len(points)} of {sample.ranges.size} rays"
+
+
+def test_classes_and_doubt_are_in_the_page(look, rng):
+    numbers = rng.integers(0, 3, look.grid.shape).astype(np.uint16)
+    chance = rng.random(look.grid.shape)
+    guess = Guess(name="mine", occupied=chance > 0.5, tudf=None, chance=chance)
+    names = ("nothing", "tree", "wall")
+    shown = replace(look, classes=(numbers, names), guesses=(guess,))
+    (packed,) = Seen(page([shown], title="")).data()["samples"]
+    classes = np.frombuffer(unpacked(packed["classes"]["voxels"]), "<u2")
+    assert_array_equal(classes, numbers.ravel())
+    assert packed["classes"]["names"] == [*names]
+    shares = np.frombuffer(unpacked(packed["guesses"][0]["chance"]), np.uint8) / 255
+    assert_allclose(shares, chance.ravel(), atol=1 / 509)
+
+
+def test_the_field_of_view_is_that_of_the_rays():
+    around = Lidar(vertical_fov_deg=30, pitch_deg=10, mount="band")
+    assert_allclose(field_of_view(around), (-180, 177, -25, 5), atol=0.01)
+    ahead = Lidar(vertical_fov_deg=30, pitch_deg=0, horizontal_fov_deg=90)
+    assert_allclose(field_of_view(ahead)[:2], (-45, 45), atol=0.01)
 
 
 def test_a_hostile_dataset_runs_no_script(look):
