@@ -29,6 +29,6 @@ def test_the_settings_have_every_table():
     kinds = " ".join(map(str.capitalize, kind_names()))
     recipe = "Flight Acceptance Lidar GridSpec Faults Mapper Known"
     others = "TrainConfig NetworkConfig LossConfig BenchConfig Thresholds PlanConfig Vehicle Rules"
-    names = f"{kinds} {recipe} {others} Survey Cruise Fusing".split()
+    names = f"{kinds} {recipe} {others} Survey Cruise Fusing Traffic".split()
     assert {one for _, _, one, _ in tables.ASKED.findall(page("settings.md"))} == set(names)
     assert "<!-- stages -->" in page("settings.md")
