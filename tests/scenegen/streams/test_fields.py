@@ -19,6 +19,7 @@ from scenegen.draw.sample import FIELDS, GROUPS
 from scenegen.draw.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
 from scenegen.worlds.labels import labels_by
+from scenegen.worlds.traffic import Traffic
 from tests.conftest import hall_in, picky_recipe, scene_recipe, small_recipe
 from tests.scenegen.worlds.test_place import hall
 
@@ -44,6 +45,9 @@ EXAMPLES = {
     ),
     "normals": lambda folder: drawn(replace(small_recipe(), parts={"normals": Normals()})),
     "known": of_a_map,
+    "movers": lambda folder: drawn(
+        replace(small_recipe(mapping={"scans": 2}), parts={"movers": Traffic(people=(8, 10))})
+    ),
 }
 """What makes samples that have the fields of a group: a recipe, and where its worlds come from."""
 
