@@ -6,7 +6,7 @@ exact."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,8 @@ class Course:
     """(P,)."""
     pieces: Floats
     """(P, CHANNELS, COEFFICIENTS)."""
+    round_s: float = PERIOD_S
+    """How long it takes to go once; then it goes the same way again, or stands, seconds."""
 
 
 class _Writer:
@@ -180,7 +182,7 @@ def without_stop(points: Floats, speed: float, acceleration: float) -> Course | 
             writer.add(
                 straight, points[n] + velocity[n] * (half * TICK_S), headings[n], velocity[n]
             )
-    return writer.course()
+    return replace(writer.course(), round_s=PERIOD_S / rounds)
 
 
 def _repeated(writer: _Writer, place: Floats, heading: Floats) -> Course | None:
@@ -196,4 +198,4 @@ def _repeated(writer: _Writer, place: Floats, heading: Floats) -> Course | None:
         still.add(rest, place, heading)
         begin = np.append(begin, rounds * writer.ticks * TICK_S)
         pieces = np.concatenate([pieces, still.course().pieces])
-    return Course(begin, pieces)
+    return Course(begin, pieces, writer.ticks * TICK_S)

@@ -27,8 +27,8 @@ from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Tra
 
 GAP_M = 0.05
 """How far movers stay from solids and each other, at least, metres."""
-TRIES = 60
-"""Courses that are tried for one mover before the world is given up."""
+TRIES, FEW_TRIES = 60, 15
+"""Courses that are tried for one mover before the world is given up, or the mover."""
 STARTS = 4
 """Places of which the first with room is where a tour begins."""
 ENDS = 12
@@ -178,7 +178,11 @@ def draw_movers(
         low, high = traffic.counts(kind) if zones.get(kind) else (0, 0)
         wanted = int(rng.integers(low, high + 1))
         for number in range(wanted):
-            found = _draw_mover(kind, clearance, caster, zones[kind], traffic, accepted, rng=rng)
+            # the world is not given up for those beyond the least number
+            tries = TRIES if number < low else FEW_TRIES
+            found = _draw_mover(
+                kind, clearance, caster, zones[kind], traffic, accepted, tries, rng=rng
+            )
             if found is None and number < low:
                 return None
             if found is None:
@@ -194,17 +198,22 @@ def _draw_mover(
     zones: Sequence[Floats],
     traffic: Traffic,
     accepted: Sequence[tuple[Body, Course]],
+    tries: int,
     *,
     rng: Generator,
 ) -> tuple[Body, Course] | None:
-    """Draw a body, and courses until one is accepted; None after `TRIES`."""
+    """Draw a body, and courses until one is accepted; None after `tries`."""
     body = BODIES[kind](rng)
-    for _ in range(TRIES):
+    for _ in range(tries):
         tour = _Tour(body, clearance, caster, zones[int(rng.integers(len(zones)))], rng)
         course = tour.course(traffic)
         if course is None:
             continue
-        alone = clearance.course_is_free(course.begin_s, course.pieces, PERIOD_S, body.balls, GAP_M)
+        # one round says all: the others go the same way
+        once = course.begin_s < course.round_s
+        alone = clearance.course_is_free(
+            course.begin_s[once], course.pieces[once], course.round_s, body.balls, GAP_M
+        )
         if alone and all(_stay_apart((body, course), other) for other in accepted):
             return body, course
     return None
