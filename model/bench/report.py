@@ -191,7 +191,7 @@ BEST_IOU = "best_iou"
 BEST_DRAW = "best_of_draws"
 """Key of the metrics of the best draw of each map, by the truth: no method knows which it is."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
-REFERENCES = ("truth", "seen")
+REFERENCES = ("truth", "seen", "moved", "flow")
 """Rows that read the ground truth, so that they are never marked as the best."""
 CAUSES = {
     "start_blocked": "none: the start is occupied",
