@@ -37,9 +37,8 @@ from scenegen.dataset.read import Split
 from scenegen.draw.scored import scored_voxels
 from scenegen.model.bench.methods import Method, rows_of
 from scenegen.model.bench.visibility import CLASSES, UNSCORED, classify
-from scenegen.view.figures import draw_completions
 from scenegen.view.look import Guess, look_into
-from scenegen.view.panels import to_bytes
+from scenegen.view.stills import draw, to_bytes
 
 MISSED = (
     "missed: holds a return",
@@ -187,7 +186,7 @@ def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> b
         return [Guess(name=method.name, occupied=occupied & here, tudf=tudf)]
 
     shown = look_into(maps_in(dataset), index, guess)
-    file = io.BytesIO(to_bytes(draw_completions([shown], title=""), ".png"))
+    file = io.BytesIO(to_bytes(draw([shown]), ".png"))
     picture, small = Image.open(file).convert("RGB"), io.BytesIO()
     picture.quantize(COLOURS).save(small, "PNG", optimize=True)
     return small.getvalue()

@@ -6,6 +6,7 @@ docs/sensor.md.
     python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
     python docs/gallery.py page     # those of the page in a browser: `pip install playwright`, and
                                     # Debian's chromium
+    python docs/gallery.py report   # that of the bench's page, by both, too
 
 `data/geometric` and `data/pillar` are those of `scenegen generate --kind …`.
 """
@@ -15,6 +16,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +34,7 @@ from lidarsim.sensors.device import angles_deg
 from scenegen.draw.draw import scan_world
 from scenegen.draw.source import read_world
 from scenegen.view.canvas import DISTANCES, colour
-from scenegen.view.panels import to_bytes
-from scenegen.view.pictures import draw_patterns
+from scenegen.view.stills import draw_patterns, to_bytes
 from scenegen.worlds.tables import named_lidar
 
 DOCS = Path(__file__).parent
@@ -67,7 +69,6 @@ LOOKS = {
         "data/geometric --split test --figure paths --index 499 --index 299 --index 7 "
         f"{NETWORKS} --weights columns",
     ),
-    "turn": (384, "data/geometric --split test --index 437 --turn"),
     "example": (1300, f"data/geometric --split test --index 7 --figure example {NETWORKS}"),
     "archived": (800, "data/pillar --split test --index 7 --figure world"),
     "flight": (800, "scenes/warehouse.xml --flight"),
@@ -100,34 +101,44 @@ def draw_looks() -> None:
     """Draw the pictures of docs/look.md by the commands that stand there."""
     with tempfile.TemporaryDirectory() as folder:
         for name, (wide, words) in LOOKS.items():
-            drawn = Path(folder, f"{name}.png" if name != "turn" else "turn.webp")
+            drawn = Path(folder, f"{name}.png")
             subprocess.run(["scenegen", "render", *words.split(), "-o", drawn], check=True)
             with Image.open(drawn) as picture:
                 small(picture, wide, f"{name}.webp")
 
 
 def small(picture: Any, wide: int, name: str) -> None:
-    """Write one of docs/look.md's pictures, so many pixels wide; of a film every second picture."""
+    """Write one of docs/look.md's pictures, so many pixels wide."""
     size = wide, round(picture.height * wide / picture.width)
-    drawn = []
-    for n in range(0, getattr(picture, "n_frames", 1), 2):
-        picture.seek(n)
-        drawn.append(picture.convert("RGB").resize(size, Image.Resampling.LANCZOS))
-    how: dict[str, Any] = {"quality": 70, "method": 6}
-    if drawn[1:]:
-        how |= {"quality": 45, "save_all": True, "append_images": drawn[1:]}
-        how |= {"duration": 444, "loop": 0}
-    drawn[0].save(DOCS / "pictures" / "look" / name, **how)
+    drawn = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    drawn.save(DOCS / "pictures" / "look" / name, quality=70, method=6)
 
 
-def draw_page() -> None:
-    """Take the pictures of what `scenegen view` serves, by Chromium with its software renderer."""
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A tab of Chromium with its software renderer."""
     from playwright.sync_api import sync_playwright
 
     flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
-        tab = browser.new_page()
+        yield browser.new_page()
+        browser.close()
+
+
+def draw_report() -> None:
+    """Take the picture of the begin of the bench's page."""
+    words = ["bench", "data/pillar", "--quick", "--quiet", *NETWORKS.split()]
+    with tempfile.TemporaryDirectory() as folder, chromium() as tab:
+        subprocess.run(["scenegen", *words, "-o", folder], check=True)
+        tab.set_viewport_size({"width": 1280, "height": 980})
+        tab.goto(Path(folder, "report.html").as_uri())
+        small(Image.open(io.BytesIO(tab.screenshot())), 900, "report.webp")
+
+
+def draw_page() -> None:
+    """Take the pictures of what `scenegen view` serves."""
+    with chromium() as tab:
         for name, (height, data, networks, place) in TABS.items():
             tab.set_viewport_size({"width": 1160, "height": height})
             words = ["scenegen", "view", data, "--port", "0", *networks.split()]
@@ -140,7 +151,6 @@ def draw_page() -> None:
             server.terminate()
             server.wait()
             tab.goto("about:blank")
-        browser.close()
 
 
 def draw_sensors() -> None:
@@ -199,5 +209,5 @@ def noise(world: Any) -> Figure:
 
 
 if __name__ == "__main__":
-    parts = {"sensors": draw_sensors, "look": draw_looks, "page": draw_page}
+    parts = {"sensors": draw_sensors, "look": draw_looks, "page": draw_page, "report": draw_report}
     parts.get(" ".join(sys.argv[1:]), main)()

@@ -1,4 +1,4 @@
-"""Draw the README's pictures: a world of each kind with its flight, and one sample.
+"""Draw the pictures of docs/worlds.md: a world of each kind with its flight.
 
 python docs/pictures.py          needs `pip install pyvista`; writes docs/pictures/*.png
 """
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
-from lidarsim import Pose, Scan
 from lidarsim.solids import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, Solids
 from scenegen.draw.draw import Unit, draw_unit
 from scenegen.draw.source import DrawnWorlds
@@ -19,7 +18,6 @@ from scenegen.worlds.recipe import Recipe, preset
 from scenegen.worlds.world import solid
 
 OUT = Path(__file__).parent / "pictures"
-HEIGHTS, DISTANCES = "viridis", "cividis"
 
 
 def main() -> None:
@@ -29,9 +27,6 @@ def main() -> None:
         recipe = preset(kind)
         unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
         draw_world(unit, recipe, OUT / f"{kind}.png")
-    recipe = preset("geometric")
-    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
-    draw_sample(unit, recipe, OUT / "sample.png")
 
 
 def draw_world(unit: Unit, recipe: Recipe, path: Path) -> None:
@@ -86,59 +81,6 @@ def surface(shape: int, size: np.ndarray) -> Any:
         return pv.Capsule(direction=(0, 0, 1), radius=size[0], cylinder_length=2 * size[1])
     radii = size if shape == ELLIPSOID else np.full(3, size[0])
     return pv.Sphere(radius=1.0).scale(radii, inplace=False)
-
-
-def draw_sample(unit: Unit, recipe: Recipe, path: Path) -> None:
-    """What the sensor saw, what was there, and how far everything is from it."""
-    sample, grid = unit.samples[2], recipe.grid
-    plotter = pv.Plotter(off_screen=True, shape=(1, 3), window_size=[1500, 560], border=False)
-    points = Scan(sample.ranges, Pose(sample.position, sample.quaternion), recipe.lidar).points()
-    views = {
-        "observed": voxels(sample.observed, sample.origin, grid.voxel_m),
-        "occupancy": voxels(sample.occupancy, sample.origin, grid.voxel_m),
-        "distance": distance_slice(sample.tudf, sample.origin, grid.voxel_m),
-    }
-    for column, (title, mesh) in enumerate(views.items()):
-        plotter.subplot(0, column)
-        plotter.add_text(title, font_size=12, color="black")
-        plotter.add_mesh(
-            mesh,
-            scalars="metres",
-            cmap=HEIGHTS if column < 2 else DISTANCES,
-            show_scalar_bar=False,
-            clim=(sample.origin[2], sample.origin[2] + grid.extent_m[2])
-            if column < 2
-            else (0, grid.truncation_m),
-        )
-        plotter.add_mesh(pv.Sphere(radius=0.2, center=sample.position), color="crimson")
-        if column == 0:
-            plotter.add_mesh(pv.PolyData(points), color="black", point_size=2)
-        plotter.camera_position = [
-            tuple(np.add(sample.position, (17, -22, 19))),
-            tuple(sample.position),
-            (0, 0, 1),
-        ]
-    plotter.screenshot(path)
-    plotter.close()
-
-
-def voxels(mask: np.ndarray, origin: np.ndarray, voxel_m: float) -> Any:
-    """Cubes where `mask` is set, with their height as scalars."""
-    image = pv.ImageData(dimensions=np.array(mask.shape) + 1, spacing=(voxel_m,) * 3, origin=origin)
-    image.cell_data["set"] = mask.ravel(order="F").astype(np.uint8)
-    image.cell_data["metres"] = image.cell_centers().points[:, 2]
-    return image.threshold(0.5, scalars="set")
-
-
-def distance_slice(tudf: np.ndarray, origin: np.ndarray, voxel_m: float) -> Any:
-    """The level of voxels just below the sensor, with their distances as scalars."""
-    level = tudf.shape[2] // 2 - 1
-    place = np.add(origin, (0, 0, level * voxel_m))
-    image = pv.ImageData(
-        dimensions=(tudf.shape[0] + 1, tudf.shape[1] + 1, 2), spacing=(voxel_m,) * 3, origin=place
-    )
-    image.cell_data["metres"] = tudf[:, :, level].ravel(order="F")
-    return image
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ and a block `text` is what the block before it printed. A picture is a file that
 the notebook a cell shows it.
 """
 
+import base64
+import io
 import json
 import re
 import shlex
@@ -18,6 +20,8 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 PAGE = Path(__file__).with_name("tutorial.md")
 NOTEBOOK = PAGE.with_suffix(".ipynb")
@@ -35,8 +39,10 @@ from IPython.display import Image
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 """
 SHELL = "%%bash -e\n"
-FRAME = re.compile(r"<iframe srcdoc=.*?</iframe>", re.S)
-"""The page of a cell's value, which is left out of what is stored: the picture below it stays."""
+BEHIND = re.compile(r'<img src="data:image/\w+;base64,([^"]*)"')
+"""The picture behind the page of a cell's value. It alone is stored: stored pages do not run."""
+WIDE, COLOURS = 1000, 64
+"""Most pixels of a stored picture's side, and its colours."""
 LONGEST_S = 1800
 """How long a cell may run, seconds."""
 
@@ -83,6 +89,21 @@ def notebook(page: str, outputs: dict[str, Any] | None = None) -> dict[str, Any]
     return {"cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
 
 
+def portable(data: dict[str, Any]) -> dict[str, Any]:
+    """The data of an output with its picture as a PNG of few colours, which every viewer of
+    notebooks shows; GitHub's shows no WebP, and no page."""
+    behind = BEHIND.search("".join(data.get("text/html", "")))
+    picture = behind[1] if behind else data.get("image/webp")
+    if picture is None:
+        return data
+    image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
+    image.thumbnail((WIDE, WIDE))
+    file = io.BytesIO()
+    image.quantize(COLOURS, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
+    content = base64.b64encode(file.getvalue()).decode()
+    return {"image/png": content, "text/plain": data["text/plain"]}
+
+
 def stored() -> dict[str, Any]:
     """What the notebook's file holds of outputs, by the sources of cells."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"] if NOTEBOOK.is_file() else []
@@ -116,8 +137,8 @@ def run(page: str, folder: Path) -> tuple[str, dict[str, Any]]:
         output.pop("execution_count", None)
         if output["output_type"] == "execute_result":
             output["output_type"] = "display_data"
-        if (data := output.get("data")) and "text/html" in data:
-            data["text/html"] = FRAME.sub("", data["text/html"])
+        if "data" in output:
+            output["data"] = portable(output["data"])
     printed = ""
 
     def done(found: re.Match[str]) -> str:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 COEFFICIENTS = 4
 """Of a polynomial in seconds since its piece began: constant, linear, quadratic, cubic."""
+ENDLESS_S = 1e5
+"""How long the last piece of a course without a period may be looked at, seconds."""
 CHANNELS = 5
 """Polynomials of a piece: x, y, z in metres, and the heading's x and y, of any length above 0."""
 
@@ -71,7 +73,7 @@ class Movers:
             metres a second; rates of turn (M,), radians a second, counter-clockwise from above.
         """
         result = np.empty((len(self), 9))
-        _poses(float(time_s), self.period_s, self.piece_start, self.begin_s, self.course, result)
+        _poses(float(time_s), self._courses, result)
         return result[:, :3], result[:, 3:5], result[:, 5:8], result[:, 8]
 
     def solids(self, time_s: float) -> Solids:
@@ -172,14 +174,8 @@ class Movers:
                 starts,
                 rays,
                 times_s,
-                self.period_s,
-                self.piece_start,
-                self.begin_s,
-                self.course,
-                self.solid_start,
-                self.shape,
-                self.size,
-                self.offset,
+                self._courses,
+                (self.solid_start, self.shape, self.size, self.offset),
                 self._balls_while(float(times_s.min()), float(times_s.max())),
                 nearer,
                 solid,
@@ -204,14 +200,8 @@ class Movers:
             starts,
             rays,
             times_s,
-            self.period_s,
-            self.piece_start,
-            self.begin_s,
-            self.course,
-            self.owner,
-            self.shape,
-            self.size,
-            self.offset,
+            self._courses,
+            (self.owner, self.shape, self.size, self.offset),
             ranges,
             solid,
             points,
@@ -223,19 +213,29 @@ class Movers:
         """Centre and squared radius (M, 4), metres, of balls that hold all movers from one time to
         another."""
         balls = np.column_stack([self.poses((begin_s + end_s) / 2)[0], self._radius])
-        if end_s > begin_s:
-            part = self.window(begin_s, end_s)
-            lengths = np.diff(np.append(part.begin_s, np.inf)).clip(0.0, end_s - begin_s)
-            # places have no cubic term, so speeds are greatest at the end of a piece
-            slopes = part.course[:, :3, 1] + np.multiply.outer(
-                (0.0, 2.0), lengths[:, None] * part.course[:, :3, 2]
-            )
-            speeds = np.sqrt((slopes * slopes).sum(axis=2)).max(axis=0)
-            fastest = np.maximum.reduceat(speeds, part.piece_start[:-1])
-            balls[:, 3] += fastest * (end_s - begin_s) / 2
+        balls[:, 3] += self._fastest * (end_s - begin_s) / 2
         # rounding must not leave out a solid that is touched
         balls[:, 3] = (balls[:, 3] * (1.0 + 1e-6)) ** 2
         return balls
+
+    @cached_property
+    def _courses(self) -> tuple[float, Ints, Floats, Floats]:
+        """The arguments of kernels that find poses."""
+        return float(self.period_s), self.piece_start, self.begin_s, self.course
+
+    @cached_property
+    def _fastest(self) -> Floats:
+        """Greatest speed (M,) of each mover's origin, metres a second."""
+        lengths = np.diff(np.append(self.begin_s, self.begin_s.max(initial=0.0)))
+        # the last piece of a mover lasts until the period ends, or without one for a long time
+        last = self.piece_start[1:] - 1
+        lengths[last] = min(self.period_s, ENDLESS_S) - self.begin_s[last]
+        # places have no cubic term, so speeds are greatest at an end of a piece
+        slopes = self.course[:, :3, 1] + np.multiply.outer(
+            (0.0, 2.0), lengths[:, None] * self.course[:, :3, 2]
+        )
+        speeds = np.sqrt((slopes * slopes).sum(axis=2)).max(axis=0)
+        return np.maximum.reduceat(speeds, self.piece_start[:-1])
 
     @cached_property
     def _radius(self) -> Floats:
@@ -437,18 +437,19 @@ def velocity(course, piece, u):
 
 
 @kernel
-def place(m, time, period, piece_start, begin_s, course):
+def place(m, time, courses):
     """Find the piece of mover `m` at a time, the seconds since that piece began, and the mover's
     place.
 
     Args:
         m: The mover's number.
         time: Seconds.
-        period, piece_start, begin_s, course: Of `Movers`.
+        courses: Period, starts of movers' pieces, begins of pieces, and pieces, as in `Movers`.
 
     Returns:
         The piece, seconds, and x, y, z, metres.
     """
+    period, piece_start, begin_s, course = courses
     if period < math.inf:
         # exact, as periods are powers of two
         time -= math.floor(time / period) * period
@@ -464,9 +465,10 @@ def place(m, time, period, piece_start, begin_s, course):
 
 
 @kernel
-def _poses(time, period, piece_start, begin_s, course, result):
+def _poses(time, courses, result):
+    course = courses[3]
     for m in range(len(result)):
-        piece, u, x, y, z = place(m, time, period, piece_start, begin_s, course)
+        piece, u, x, y, z = place(m, time, courses)
         hx, hy = _value(course, piece, 3, u), _value(course, piece, 4, u)
         dx, dy = _slope(course, piece, 3, u), _slope(course, piece, 4, u)
         square = hx * hx + hy * hy
@@ -483,18 +485,14 @@ def _nearest(
     starts,
     rays,
     times,
-    period,
-    piece_start,
-    begin_s,
-    course,
-    solid_start,
-    shape,
-    size,
-    offset,
+    courses,
+    bodies,
     balls,
     ranges,
     solids,
 ):
+    solid_start, shape, size, offset = bodies
+    course = courses[3]
     for p in range(len(starts)):
         reach = 0.0
         for n in range(ranges.shape[1]):
@@ -512,7 +510,7 @@ def _nearest(
                 if along * along < surplus or (outside and along > 0.0):
                     continue
                 time = times[n if len(times) > 1 else 0]
-                piece, u, x, y, z = place(m, time, period, piece_start, begin_s, course)
+                piece, u, x, y, z = place(m, time, courses)
                 _, _, _, hx, hy = pose(course, piece, u)
                 ux, uy, uz = starts[p, 0] - x, starts[p, 1] - y, starts[p, 2] - z
                 # to the mover's frame: the transpose of a turn about the vertical
@@ -530,19 +528,15 @@ def _surfaces(
     starts,
     rays,
     times,
-    period,
-    piece_start,
-    begin_s,
-    course,
-    owner,
-    shape,
-    size,
-    offset,
+    courses,
+    bodies,
     ranges,
     solids,
     points,
     normals,
 ):
+    owner, shape, size, offset = bodies
+    course = courses[3]
     for p in range(len(starts)):
         for n in range(ranges.shape[1]):
             s = solids[p, n]
@@ -551,7 +545,7 @@ def _surfaces(
             for axis in range(3):
                 points[p, n, axis] = starts[p, axis] + ranges[p, n] * rays[p, n, axis]
             time = times[n if len(times) > 1 else 0]
-            piece, u, x, y, z = place(owner[s], time, period, piece_start, begin_s, course)
+            piece, u, x, y, z = place(owner[s], time, courses)
             _, _, _, hx, hy = pose(course, piece, u)
             sx, sy, sz = points[p, n, 0] - x, points[p, n, 1] - y, points[p, n, 2] - z
             px, py = hx * sx + hy * sy - offset[s, 0], hx * sy - hy * sx - offset[s, 1]

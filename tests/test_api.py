@@ -43,7 +43,7 @@ def test_samples_are_shown(dataset, tmp_path):
     framed = shown._repr_html_()
     assert framed.startswith("<div")
     assert not [raw for raw in ("<script", "<mine>") if raw in framed]
-    assert "data:image/webp" in framed
+    assert "data:image/png" in framed
 
 
 def test_what_cannot_be_shown_is_refused(dataset):

@@ -185,11 +185,11 @@ def main():
 
     from scenegen.cli import doctor
     from scenegen.publish import stage
-    from scenegen.view import panels, pictures
+    from scenegen.view import stills
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     stage.SHOWN = 1
-    pictures.PIXELS, panels.DPI = 200, 50  # pictures have their own tests
+    stills.DPI = 50  # pictures have their own tests
     for words in json.load(sys.stdin):
         begin = time.process_time()
         assert code_of(*words) == 0, words

@@ -11,7 +11,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from scenegen.model.bench.metrics import METRICS, PLAN_METRICS, Metric, ScoredMa
 from scenegen.model.bench.reliability import reliability, reliability_tables
 from scenegen.model.bench.run import DatasetResult, MethodResult
 from scenegen.model.bench.statistics import (
+    brief,
     caution,
     cell,
     holm,
@@ -31,8 +32,8 @@ from scenegen.model.bench.statistics import (
     with_std,
 )
 from scenegen.model.bench.visibility import CLASSES
-from scenegen.model.config import UNITS, Thresholds
-from scenegen.model.tables import Table, as_text, page
+from scenegen.model.config import NEAR_M, UNITS
+from scenegen.model.tables import Dot, Table, as_text, chart, framed, page
 
 
 def summaries(
@@ -191,6 +192,20 @@ BEST_IOU = "best_iou"
 BEST_DRAW = "best_of_draws"
 """Key of the metrics of the best draw of each map, by the truth: no method knows which it is."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
+UNMARKED = "known space not marked"
+"""Of a table."""
+LEADS = {
+    "planning": ("success", "Paths planned on the maps of {} succeed most often"),
+    f"planning, {UNMARKED}": ("hits", "Paths planned on the maps of {} hit obstacles least often"),
+    "reconstruction": ("iou", "The maps of {} have the highest IoU"),
+}
+"""By the table, the metric that the story is about, and how the story begins."""
+CHARTS = ("success", "iou", "hits", "success_blocked", "near_rmse", "min_clearance")
+"""Metrics that are drawn, of the tables that have them."""
+MARKS = (
+    "Dots are means. Lines, and brackets, are 95 % intervals, not corrected for the choice of the "
+    "best. Grey: a reference, which reads the truth."
+)
 REFERENCES = ("truth", "seen", "moved", "flow")
 """Rows that read the ground truth, so that they are never marked as the best."""
 CAUSES = {
@@ -243,6 +258,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,
+            "thresholds": asdict(result.config.thresholds),
             "note": "; ".join(cautions),
             "trials": len(result.trial_worlds),
             "blocked_lines": sum(trial.line_blocked for trial in first.trials),
@@ -297,7 +313,7 @@ def finite(value: Any) -> Any:
 def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric], Json, Json]]:
     """List the tables of a kind of worlds.
 
-    Beside IoU stands IoU at the row's best threshold. If that is not the paper's, the figure says
+    Beside IoU stands IoU at the row's best threshold. If that is not the bench's, the figure says
     which it is, as `at`.
 
     Args:
@@ -307,8 +323,8 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     Yields:
         Title, metrics by name, rows by method, and the paper's rows.
     """
-    metrics, usual = dict[str, Metric](), asdict(Thresholds())
-    about = report["datasets"][kind]
+    about, metrics = report["datasets"][kind], dict[str, Metric]()
+    usual = about["thresholds"]
     entries = about.get("metrics", {}).items()
     # a user's own metrics are shown by the report's entries: their code need not be at hand
     further = {name: Metric(of=_unknown, **entry) for name, entry in entries}
@@ -334,7 +350,7 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     # in real places, success depends on the map's end; hits of known obstacles do not
     metrics = {"hits": PLAN_METRICS["hits"], **PLAN_METRICS}
     unmarked = {name: row["unmarked"] for name, row in planning.items()}
-    yield "planning, known space not marked", metrics, unmarked, paper
+    yield f"planning, {UNMARKED}", metrics, unmarked, paper
     yield "planning, known space marked", metrics, planning, paper
 
 
@@ -354,10 +370,16 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
         A paragraph or a table.
     """
     about = report["datasets"][kind]
+    yield story(report, kind)
     yield _introduction(about)
     if kind in PAPER["planning"]:
-        yield f"In italics: the paper's figures, of its own worlds. {TUNED}"
+        yield f"In italics, and as rings: the paper's figures, of its own worlds. {TUNED}"
     yield from (f"{note}." for note in notes(about))
+    at = about["thresholds"]
+    note = (
+        f"Occupied: a probability above {at['probability']:g} or, where a method gives none, a "
+        f"distance below {at['distance_m']:g} m. Near: at most {NEAR_M:g} m from an obstacle."
+    )
     for title, metrics, rows, paper in tables(report, kind):
         yield Table(
             title.capitalize(),
@@ -372,6 +394,7 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
                 for column, (name, metric) in enumerate(metrics.items())
                 for method in best(rows, name, metric)
             ],
+            note,
         )
     yield _failures(report["planning"][kind])
     reliabilities = report.get("reliability", {}).get(kind, {})
@@ -380,7 +403,7 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
         (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
         for method, row in report["reconstruction"][kind].items()
     ]
-    yield Table("IoU by what was seen", CLASSES, by_class)
+    yield Table("IoU by what was seen", CLASSES, by_class, note=note)
     yield _paired_tests(report["tests"][kind])
 
 
@@ -419,8 +442,48 @@ def _paired_tests(tests: Sequence[Json]) -> Table:
     return Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), rows)
 
 
-def best(rows: Json, name: str, metric: Metric) -> set[str]:
-    """Find the methods with the best mean, as it is printed, without the references.
+def story(report: Json, kind: str) -> str:
+    """Say in words which method is best, and whether its lead over the next is shown.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind of worlds.
+
+    Returns:
+        A sentence for each of `LEADS`. Both methods have the same samples and trials. A lead is not
+        shown where its 95 % interval holds 0, or where there is none.
+    """
+    sentences = []
+    for table, metrics, rows, _ in tables(report, kind):
+        name, begin = LEADS.get(table, ("", ""))
+        if name and (order := ranked(rows, name, metrics[name])):
+            pair = [method for _, method in order[:2]]
+            figures = f"{begin.format(pair[0])}: {brief(rows[pair[0]][name])}"
+            tested = f"unmarked_{name}" if table.endswith(UNMARKED) else name
+            for test in report["tests"][kind]:
+                if test["metric"] == tested and {test["first"], test["second"]} == {*pair}:
+                    figures += _lead(test, pair, metrics[name].better)
+            alone = ", and no other method was measured" * (len(pair) < 2)
+            sentences.append(f"{figures}{alone}.")
+    return " ".join(sentences) or "Only references were measured."
+
+
+def _lead(test: Json, pair: Sequence[str], better: str) -> str:
+    """Write how far the first of a pair leads the next, or that a lead is not shown."""
+    first, second = pair
+    # a gain, whichever of both was subtracted
+    sign = 1 if (test["first"] == first) == (better == "higher") else -1
+    low, high = sorted(sign * (test[end] or 0) for end in ("low", "high"))
+    gain = f"{sign * (test['difference'] or 0):.3f} [{low:.3f}, {high:.3f}]"
+    if test["low"] is None:
+        gain = "one world gives no interval"
+    if low <= 0:
+        return f". A lead over {second}, the next, is not shown: {gain}"
+    return f", which is {gain} {better} than {second}, the next"
+
+
+def ranked(rows: Json, name: str, metric: Metric) -> list[tuple[float, str]]:
+    """Order methods by a metric's mean, as it is printed, without the references.
 
     Args:
         rows: Figures by method and metric.
@@ -428,18 +491,56 @@ def best(rows: Json, name: str, metric: Metric) -> set[str]:
         metric: The metric.
 
     Returns:
-        Names of methods; several, if their printed means are equal.
+        How far each is from the best possible, and its name; the best first.
     """
+    worth = {"higher": lambda mean: -mean, "lower": lambda mean: mean, "nearer to 0": abs}
     # as printed: a difference that no reader sees marks nobody as the best
-    means = {
-        method: round(row[name]["mean"], 3)
+    return sorted(
+        (worth[metric.better](round(row[name]["mean"], 3)), method)
         for method, row in rows.items()
         if row[name]["n"] and method not in REFERENCES
-    }
-    sign = {"higher": lambda mean: -mean, "lower": lambda mean: mean, "nearer to 0": abs}
-    worth = sign[metric.better]
-    first = min(map(worth, means.values()), default=None)
-    return {method for method, mean in means.items() if worth(mean) == first}
+    )
+
+
+def best(rows: Json, name: str, metric: Metric) -> set[str]:
+    """Find the methods with the best mean, see `ranked`: several, if their printed means are
+    equal."""
+    order = ranked(rows, name, metric)
+    return {method for worth, method in order if worth == order[0][0]}
+
+
+def charts(report: Json, kind: str) -> str:
+    """Draw means and their intervals: the story's first.
+
+    Args:
+        report: From `build_report`.
+        kind: The kind of worlds.
+
+    Returns:
+        SVG charts, as HTML.
+    """
+    drawn = ""
+    for name, (table, metrics, rows, paper) in product(CHARTS, tables(report, kind)):
+        dots = [
+            Dot(
+                method,
+                row[name]["mean"],
+                row[name]["low"],
+                row[name]["high"],
+                "reference" * (method in REFERENCES),
+            )
+            for method, row in rows.items()
+            if name in metrics and row[name]["n"]
+        ]
+        if dots:
+            dots += [
+                Dot(f"{method} (paper)", row[name][0], style="paper")
+                for method, row in paper.items()
+                if name in row
+            ]
+            _, comma, where = table.partition(", ")
+            drawn += chart(metrics[name].label + ARROWS[metrics[name].better] + comma + where, dots)
+    return drawn
 
 
 def to_markdown(report: Json) -> str:
@@ -454,32 +555,42 @@ def to_markdown(report: Json) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
+def to_html(
+    report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]], samples: str = ""
+) -> str:
     """Write the report as an HTML page.
 
     Args:
         report: From `build_report`.
-        pictures: Charts and failures by kind: a caption and a WebP image each.
+        pictures: Failures by kind: a caption and a WebP image each.
+        samples: Name of a page of samples beside this one, which it shows in a frame; "": none.
 
     Returns:
-        The page, pictures included: it fetches nothing.
+        The page, pictures included: it fetches nothing but the page of samples.
     """
+    body = []
+    for kind in report["datasets"]:
+        told, *further = (
+            f"<p>{as_text(block)}</p>" if isinstance(block, str) else block.html()
+            for block in blocks(report, kind)
+        )
+        images = "".join(
+            f"<figure><figcaption>{as_text(caption)}</figcaption><img alt='{as_text(caption)}' "
+            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
+            for caption, image in pictures.get(kind, ())
+        )
+        body += [
+            f"<h2>{as_text(kind)}</h2><div class='story'>{told}</div>",
+            f"<div class='charts'>{charts(report, kind)}</div>",
+            f"<p>{MARKS}</p>",
+            *further,
+            f"<div class='charts'>{images}</div>",
+        ]
+    if samples:
+        body.append(framed("Worst and median maps of the method with the highest IoU", samples))
     about = "".join(
         f"<dt>{as_text(name)}</dt><dd>{as_text(value)}</dd>"
         for name, value in report.items()
         if isinstance(value, str)
     )
-    body = [f"<dl>{about}</dl>"]
-    for kind in report["datasets"]:
-        body.append(f"<h2>{as_text(kind)}</h2>")
-        body += [
-            f"<p>{as_text(block)}</p>" if isinstance(block, str) else block.html()
-            for block in blocks(report, kind)
-        ]
-        images = [
-            f"<figure><figcaption>{as_text(caption)}</figcaption><img alt='{as_text(caption)}' "
-            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-            for caption, image in pictures.get(kind, ())
-        ]
-        body.append(f"<div class='charts'>{''.join(images)}</div>")
-    return page("Bench", "".join(body))
+    return page("Bench", f"{''.join(body)}<h2>About</h2><dl>{about}</dl>")

@@ -99,6 +99,8 @@ class DatasetResult:
     kind: str
     dataset: AnyDataset
     config: BenchConfig
+    numbers: Sequence[int]
+    """(N,): the samples' numbers in the split."""
     worlds: Ints
     """(N,): the samples' worlds."""
     known_share: float
@@ -276,6 +278,7 @@ def bench(
         kind=kind,
         dataset=dataset,
         config=config,
+        numbers=[sample.number for sample in samples],
         worlds=np.array([sample.world for sample in samples]),
         known_share=float(np.mean([sample.known_share for sample in samples])),
         trial_worlds=np.array([samples[n].world for _, n in trials], np.int64),

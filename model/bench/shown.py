@@ -1,11 +1,12 @@
 """Predictions of a sample and the bench's paths on them, for viewers; pictures of failed trials;
-charts.
+a page of samples.
 """
 
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+
+import numpy as np
 
 from lidarsim.grid import Field, Floats, Mask
 from scenegen.base.errors import DatasetError
@@ -13,8 +14,9 @@ from scenegen.base.files import Json
 from scenegen.dataset.read import Split
 from scenegen.draw.sample import rng_of
 from scenegen.model.bench.methods import Method, answers
+from scenegen.model.bench.metrics import METRICS
 from scenegen.model.bench.planner import Lattice
-from scenegen.model.bench.report import CAUSES, tables
+from scenegen.model.bench.report import CAUSES, ranked
 from scenegen.model.bench.run import (
     DatasetResult,
     measured_targets,
@@ -27,6 +29,7 @@ from scenegen.model.bench.trials import judge, plan_trial
 from scenegen.model.bench.visibility import Case
 from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.view.look import Guess, Route, look_into
+from scenegen.view.page import page
 
 
 def guesses(
@@ -107,6 +110,8 @@ def route_to(
 
 
 MAX_FAILURES = 3
+MAX_BYTES = 3_000_000
+"""Of the page of samples."""
 WIDE = 900
 """Pixels of a picture."""
 
@@ -146,7 +151,7 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     Raises:
         ImportError: matplotlib is not installed.
     """
-    from scenegen.view.figures import draw_paths
+    from scenegen.view.stills import draw, to_bytes
 
     learned = [method for method in methods if method.learned]
     name, trials = failing(result)
@@ -157,61 +162,42 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
         of_trial = partial(guesses, learned, result.config, turn)
         look = look_into(result.dataset.split(result.config.split), index, of_trial)
         caption = f"{name} fails: {look.name}, goal {turn}"
-        figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
-        pictures.append((caption, _webp(figure)))
+        figure = draw([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], "paths")
+        figure.set_dpi(WIDE / figure.get_figwidth())
+        pictures.append((caption, to_bytes(figure, ".webp")))
     return pictures
 
 
-CHARTS = ("iou", "near_rmse")
-"""Metrics of maps that are drawn; of planning, the one that leads the table, and clearance."""
-
-
-def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
-    """Draw charts: a dot with its interval for each method, a ring for each of the paper's.
+def extremes(report: Json, results: Sequence[DatasetResult], methods: Sequence[Method]) -> str:
+    """Make a page of the worst and the median sample of each kind, with the completion of the
+    method whose IoU is highest.
 
     Args:
         report: From `build_report`.
-        kind: The kind of worlds.
+        results: The results by kind of worlds.
+        methods: The methods.
 
     Returns:
-        Captions and WebP images.
+        The page, of `MAX_BYTES` at most; "" if only references were measured.
 
     Raises:
-        ImportError: matplotlib is not installed.
+        DatasetError: A grid is too large for a page.
     """
-    from matplotlib.figure import Figure
-
-    from scenegen.view.panels import MAP, SOFT, plain
-
-    charts = []
-    for table, metrics, rows, reference in tables(report, kind):
-        planned = next(iter(metrics)), "min_clearance"
-        for name in CHARTS if table.startswith("reconstruction") else planned:
-            dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
-            papers = {
-                f"{method} (paper)": row[name][0]
-                for method, row in reference.items()
-                if name in row
-            }
-            figure = Figure(figsize=(5.8, 0.6 + 0.26 * len([*dots, *papers])), layout="constrained")
-            axes = figure.subplots()
-            for method, metric in dots.items():
-                ends = None if metric["low"] is None else [metric["low"], metric["high"]]
-                # one world has no interval: a line of no length
-                axes.plot(ends or [metric["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
-                axes.plot(metric["mean"], plain(method)[:24], "o", color=MAP)
-            axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
-            # in the order of the table, from top to bottom
-            axes.invert_yaxis()
-            axes.grid(axis="x")
-            _, comma, best_draws = table.partition(", each")
-            charts.append((metrics[name].label + comma + best_draws, _webp(figure)))
-    return charts
-
-
-def _webp(figure: Any) -> bytes:
-    """A figure of matplotlib as a picture of the report."""
-    from scenegen.view.panels import to_bytes
-
-    figure.set_dpi(WIDE / figure.get_figwidth())
-    return to_bytes(figure, ".webp")
+    looks = []
+    for result in results:
+        order = ranked(report["reconstruction"][result.kind], "iou", METRICS["iou"])
+        for _, name in order[:1]:
+            ious = result.methods[name].values("iou")
+            numbers = np.argsort(ious)[: np.isfinite(ious).sum()]
+            chosen = [method for method in methods if method.name == name]
+            shown = partial(guesses, chosen, result.config, 0)
+            for rank, n in (("worst", numbers[0]), ("median", numbers[len(numbers) // 2])):
+                split = result.dataset.split(result.config.split)
+                look = look_into(split, result.numbers[n], shown)
+                title = f"{result.kind}, {rank} of {name}: {look.name}"
+                looks.append(dataclasses.replace(look, name=title))
+    notes = list[str]()
+    while looks and len(content := page(looks, title="Bench", notes=notes)) > MAX_BYTES:
+        looks.pop()
+        notes = ["the last kinds are left out: the page would be too large"]
+    return content if looks else ""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -330,19 +330,6 @@ def _completion(path: Path) -> Look:
 def looks_of_completion(path: Path) -> list[Look]:
     """List the completion of a scan, the only one of its file; see `read_completion`."""
     return [read_completion(path)]
-
-
-def draw_completion(path: Path) -> Any:
-    """Draw the completion of a scan, see `read_completion`, as a figure of matplotlib."""
-    from scenegen.view.panels import plain
-    from scenegen.view.pictures import draw_sample
-
-    look = read_completion(path)
-    (guess,) = look.guesses
-    masks = {**look.masks, "predicted": guess.occupied}
-    panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
-    look = replace(look, masks=masks, tudf=guess.tudf)
-    return draw_sample(look, title=plain(path.name), panels=panels)
 
 
 def read_line(reports: Sequence[ScanReport]) -> str:

@@ -1,5 +1,6 @@
 """The leaderboard: a page of the entries to a suite."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
 from scenegen.model.bench.statistics import Scale, brief, summarise
-from scenegen.model.tables import Table, page
+from scenegen.model.tables import Table, framed, page
 
 
 class Column(NamedTuple):
@@ -38,15 +39,7 @@ BOARD = {
 BEST = "score, less the best's"
 """The last column: the differences flight by flight."""
 WIDE = " body { max-width: none; } th { cursor: pointer; }"
-SORTED = """
-for (const head of document.querySelectorAll("th")) head.onclick = () => {
-  const rows = [...head.closest("table").tBodies[0].rows], n = head.cellIndex;
-  const value = (row) => row.cells[n].textContent;
-  rows.sort((a, b) =>
-    parseFloat(value(b)) - parseFloat(value(a)) || value(a).localeCompare(value(b)));
-  rows.forEach((row) => row.parentElement.append(row));
-};
-"""
+SORTED = Path(__file__).with_name("board.js").read_text(encoding="utf-8")
 
 
 class Row(NamedTuple):
@@ -68,15 +61,17 @@ class Row(NamedTuple):
         return [flight.score for flight in self.flights]
 
 
-def leaderboard(folder: Path) -> str:
+def leaderboard(folder: Path, out: Path) -> str:
     """Write an HTML page of all entries (.json) in a folder.
 
     It has a table for each choice of courses, those of whole tracks first, the best score first,
     with 95 % intervals over worlds. A click on a column's head sorts by it. Scores are those of the
-    recorded outcomes, times and lengths, which `fly replay` checks.
+    recorded outcomes, times and lengths, which `fly replay` checks. Below the tables are the films
+    that lie beside entries: x.html beside x.json.
 
     Args:
         folder: The folder.
+        out: File of the page, from which films are referred to.
 
     Returns:
         The page.
@@ -86,6 +81,7 @@ def leaderboard(folder: Path) -> str:
     """
     # only entries that flew the same worlds can be compared, so each choice of courses has a table
     tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
+    films = ""
     for path in sorted(folder.glob("*.json")):
         entry = read_recording(path)
         with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
@@ -93,6 +89,8 @@ def leaderboard(folder: Path) -> str:
         row = _row(entry)
         key = (str(entry.suite), str(part), *row.worlds)
         tables.setdefault(key, (part, []))[1].append(row)
+        if (film := path.with_suffix(".html")).exists():
+            films += framed(f"{entry.robot} flies", os.path.relpath(film, out.parent))
     if not tables:
         raise ScenegenError(f"{folder}: holds no entry, .json as `scenegen fly suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
@@ -102,7 +100,7 @@ def leaderboard(folder: Path) -> str:
         rows.sort(key=lambda row: -sum(row.scores))
         cells = [(row.robot, _cells(row, rows[0])) for row in rows]
         body += Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells).html()
-    return page("Robots", body, style=WIDE, script=SORTED)
+    return page("Robots", body + films, style=WIDE, script=SORTED)
 
 
 def _row(entry: Recording) -> Row:

@@ -8,12 +8,13 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from scenegen.base.errors import DatasetError
+from scenegen.base.errors import DatasetError, printable
 from scenegen.base.files import Json
 from scenegen.base.limits import MAX_EPOCHS, MAX_LINE_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.model.bench.metrics import METRICS
 from scenegen.model.config import VARIANTS, target_name
+from scenegen.view.canvas import SCREEN, Paper
 
 Scalars = dict[str, float]
 """Figures of a step or an epoch, by name."""
@@ -58,12 +59,13 @@ def read_rows(path: Path) -> list[Scalars]:
     return rows
 
 
-def draw(rows: list[Scalars], *, title: str = "") -> Any:
+def draw(rows: list[Scalars], *, title: str = "", paper: Paper = SCREEN) -> Any:
     """Draw losses, IoU and Near-MAE by epoch, in a panel each.
 
     Args:
         rows: Figures of each epoch.
-        title: Title above the panels.
+        title: Title above the panels, which print does not have.
+        paper: Size of the picture. Panels stand one above the other if it is narrow.
 
     Returns:
         A `matplotlib.figure.Figure`.
@@ -71,30 +73,37 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
     Raises:
         ImportError: if matplotlib is not installed.
     """
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3), layout="constrained")
-    if title:
-        figure.suptitle(title, fontsize=11)
-    for axes, (name, columns) in zip(figure.subplots(1, len(PANELS)), PANELS.items(), strict=True):
-        for column in columns:
-            axes.plot(
-                [row["epoch"] for row in rows],
-                [row.get(column, math.nan) for row in rows],
-                marker=".",
-                label=column,
-            )
-        axes.set(title=name, xlabel="epoch")
-        axes.grid(alpha=0.3)
-        axes.legend()
+    from scenegen.view.stills import style
+
+    wide = paper.width or 9.0
+    shape = (1, len(PANELS)) if wide > 5 else (len(PANELS), 1)
+    with rc_context(style(paper)):
+        figure = Figure(figsize=(wide, wide / 3 if wide > 5 else 1.6 * wide), layout="constrained")
+        figure.suptitle("" if paper.width else printable(title))
+        for axes, (name, columns) in zip(figure.subplots(*shape), PANELS.items(), strict=True):
+            for column in columns:
+                axes.plot(
+                    [row["epoch"] for row in rows],
+                    [row.get(column, math.nan) for row in rows],
+                    marker=".",
+                    label=column,
+                )
+            axes.set(title=name, xlabel="epoch")
+            axes.tick_params(labelsize=paper.points)
+            axes.grid(alpha=0.3)
+            axes.legend()
     return figure
 
 
-def draw_run(folder: Path) -> Any:
+def draw_run(folder: Path, paper: Paper = SCREEN) -> Any:
     """Draw the curves of a run.
 
     Args:
         folder: The run's folder.
+        paper: Size of the picture.
 
     Returns:
         See `draw`.
@@ -103,9 +112,7 @@ def draw_run(folder: Path) -> Any:
         DatasetError: if the folder has no figures.
         ImportError: if matplotlib is not installed.
     """
-    from scenegen.view.panels import plain
-
-    return draw(read_rows(folder / "metrics.csv"), title=plain(folder.resolve().name))
+    return draw(read_rows(folder / "metrics.csv"), title=folder.resolve().name, paper=paper)
 
 
 FULL_EPOCHS = 100

@@ -277,7 +277,7 @@ class RunFolder:
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
         if drawn < written and self._writes:
             with suppress(ImportError):
-                from scenegen.view.panels import to_bytes
+                from scenegen.view.stills import to_bytes
 
                 write_atomic(self.path / CURVE, to_bytes(draw(rows), ".png"))
 

@@ -148,7 +148,6 @@ def holds_scans(folder: Path) -> bool:
 _WORLD: dict[str, Any] = {
     "opens": "scenegen.draw.source:read_world",
     "facts": "scenegen.view.inspect:inspect_world",
-    "draws": "scenegen.view.pictures:draw_world_file",
     "shows": "scenegen.view.opened:looks_of_world",
 }
 TYPES = {
@@ -179,7 +178,6 @@ TYPES = {
         test=lambda path: ends(".h5")(path) or holds("predictions.json")(path),
         opens="scenegen.model.bench.methods:Predicted",
         facts="scenegen.model.completion.stored:prediction_facts",
-        draws="scenegen.model.completion.scans:draw_completion",
         shows="scenegen.model.completion.scans:looks_of_completion",
     ),
     "run": PathType(
@@ -221,7 +219,6 @@ TYPES = {
         test=ends(*SCANS),
         opens="scenegen.worlds.clouds:read_cloud",
         facts="scenegen.view.inspect:scan_facts",
-        draws="scenegen.view.pictures:draw_scan",
         shows="scenegen.view.opened:looks_of_scan",
     ),
     "world": PathType(form="an MJCF file, .xml", test=ends(".xml"), **_WORLD),

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 from click.shell_completion import CompletionItem
 
+from scenegen.base.errors import DatasetError
 from scenegen.base.executors import Executor
 from scenegen.base.files import Json, check_ours, write_result
 from scenegen.base.limits import MAX_SAMPLES
@@ -176,7 +177,7 @@ def chosen(
     return partial(guesses, methods, BenchConfig(), None if no_paths else trial), names
 
 
-REPORTS = ("report.json", "report.md", "report.html")
+REPORTS = ("report.json", "report.md", "report.html", "samples.html")
 QUICK = {"samples": 50, "trials": 200}
 """Numbers of samples and trials of each dataset with `--quick`."""
 
@@ -272,7 +273,7 @@ def bench(
     from scenegen.model.bench.methods import rows_of
     from scenegen.model.bench.report import build_report, to_html, to_markdown
     from scenegen.model.bench.run import bench_all
-    from scenegen.model.bench.shown import draw_charts, draw_failures
+    from scenegen.model.bench.shown import draw_failures, extremes
 
     if verbose:
         announce_compilation()
@@ -304,10 +305,14 @@ def bench(
     pictures: dict[str, list[tuple[str, bytes]]] = {}
     with suppress(ImportError):  # the report does without matplotlib
         for result in results:
-            pictures[result.kind] = draw_charts(report, result.kind) + draw_failures(
-                result, methods
-            )
-    write_result(out / "report.html", to_html(report, pictures).encode())
+            pictures[result.kind] = draw_failures(result, methods)
+    samples = ""
+    with suppress(DatasetError):  # a grid too large for a page
+        samples = extremes(report, results, methods)
+    if samples:
+        write_result(out / REPORTS[-1], samples.encode())
+    beside = REPORTS[-1] if samples else ""
+    write_result(out / "report.html", to_html(report, pictures, beside).encode())
     if report_result(report):
         show_tables(report)
         echo(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")

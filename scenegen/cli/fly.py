@@ -360,7 +360,7 @@ def rank(entries: Path, out: Path, quiet: bool) -> None:
     """
     from scenegen.model.robots.board import leaderboard
 
-    write_result(out, leaderboard(entries).encode())
+    write_result(out, leaderboard(entries, out).encode())
     if not quiet:
         echo(f"written: {out}")
 
@@ -406,15 +406,14 @@ def _show(
     # recordings hide the seeds of a hidden track; drawing needs them
     course = real_course(first, hidden)
     if picture is not None:
-        from scenegen.view.canvas import VIEW
-        from scenegen.view.panels import RED, to_bytes
-        from scenegen.view.pictures import draw_world
-        from scenegen.worlds.world import solid
+        from scenegen.view.opened import look_of_world
+        from scenegen.view.stills import draw, to_bytes, with_path
 
-        figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
-        for flight in ways:
-            colour = "#1d7a2f" if flight.outcome == "success" else RED
-            figure.axes[0].plot(*VIEW.project(flight.path).T, color=colour, zorder=6)
+        look = look_of_world(course.drawn, course.world)
+        for n, (flight, mission) in enumerate(zip(ways, course.missions, strict=True), 1):
+            hit = flight.path[-1] if flight.outcome == "collision" else None
+            look = with_path(look, f"{n}: {flight.outcome}", flight.path, mission.goal, hit)
+        figure = draw([look], "paths", title=f"{name} in {course.world}")
         write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
         from scenegen.model.robots.film import flight_page

@@ -24,18 +24,15 @@ from scenegen.cli.types import Choice, DatasetPath, Number, Written
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import AnyDataset
+    from scenegen.view.canvas import Paper
 
 
 MAX_ON_SHEET = 64
-"""Maximum samples on a sheet, and of a flight in a film."""
+"""Maximum samples on a sheet."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
 """Suffixes of pictures."""
-FILMS = (".webp", ".gif")
-"""Suffixes of animated pictures."""
 COLUMNS_MM = {"one": "88", "two": "180"}
 """Widths of one and two columns in most journals, millimetres."""
-MIN_WIDTH = 140 / 25.4
-"""Minimum width for print of anything but samples, inches."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 """Values of --figure."""
 
@@ -53,7 +50,6 @@ def _width(text: str) -> float:
 @command(
     "render data/pillar --index 3 -o sample.png",
     "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
-    "render data/pillar --index 3 --flight -o flight.gif",
     "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
     "render scenes/forest.xml --flight -o forest.png",
 )
@@ -73,13 +69,7 @@ def _width(text: str) -> float:
     help="What to draw of samples; docs/look.md shows each.  [default: sample, or completions "
     "with --weights]",
 )
-@click.option("--turn", is_flag=True, help="A turntable of one sample, as a .webp or .gif.")
-@click.option(
-    "--flight",
-    is_flag=True,
-    help="With a world: draw a random flight, too. With a dataset: a .gif or .webp of the flight "
-    "of the sample --index.",
-)
+@click.option("--flight", is_flag=True, help="With a world: draw a random flight, too.")
 @click.option(
     "--paper",
     type=Written(_width, "width"),
@@ -98,7 +88,7 @@ def _width(text: str) -> float:
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
 @prediction_options
-@group("What is drawn", "split index sheet figure turn flight columns")
+@group("What is drawn", "split index sheet figure flight columns")
 @group("For print", "paper font-size")
 def render(
     source: Path | str,
@@ -106,13 +96,15 @@ def render(
     seed: int,
     out: Path | None,
     quiet: bool,
+    paper: float | None,
     font_size: float,
     columns: int | None,
     **options: Any,
 ) -> None:
     """Draw samples of a dataset, with predictions.
 
-    Or draw a world (.xml), a scan, the completion of a scan (.h5), or the curves of a training run.
+    Or draw a world (.xml), a map, a scan, the completion of a scan (.h5), or the curves of a
+    training run.
 
     \f
     Raises:
@@ -121,43 +113,31 @@ def render(
     """
     name = type_of(source)
     is_world = name in ("world", "mesh")
-    # for a world, --flight draws a path; for samples, it makes a film
-    film = "turn" if options.pop("turn") else "flight" if flight and not is_world else ""
-    suffixes = FILMS if film else SUFFIXES
-    out = out or Path("sample.webp" if film else "sample.png")
-    if out.suffix not in suffixes:
-        raise click.UsageError(f"-o {out}: expected a name that ends in {', '.join(suffixes)}")
+    out = out or Path("sample.png")
+    if out.suffix not in SUFFIXES:
+        raise click.UsageError(f"-o {out}: expected a name that ends in {', '.join(SUFFIXES)}")
     if options["count"] and options["indices"]:
         raise click.UsageError("give --index or --sheet, not both")
-    if film and (
-        options["count"] or len(options["indices"]) > 1 or options["figure"] or options["paper"]
-    ):
-        raise click.UsageError(
-            f"--{film}: shows one sample or flight, without --sheet, --figure and --paper"
-        )
     from scenegen.base.files import write_result
-    from scenegen.view.panels import for_paper, to_bytes
+    from scenegen.view.canvas import SCREEN, Paper
+    from scenegen.view.stills import draw, to_bytes
 
+    size = Paper(paper, font_size) if paper else SCREEN
     notes: list[str] = []
+    if flight and not is_world:
+        raise click.UsageError("--flight: draws a flight in a world (.xml or a mesh)")
     if name in (None, *DATA):
-        figure, notes = _draw_samples(
-            source, progress=not quiet, film=film, suffix=out.suffix, **options
-        )
+        figure, notes = _draw_samples(source, progress=not quiet, paper=size, **options)
+    elif name == "run":
+        figure = function_for(source, "draws")(Path(source), paper=size)
     else:
-        if (options["paper"] or MIN_WIDTH) < MIN_WIDTH:
-            raise click.UsageError(
-                "--paper: only samples fit into less than 140 mm; give two, or more"
-            )
-        settings: dict[str, Any] = {}
-        if is_world:
-            settings = {"seed": seed if flight else None}
-        elif name == "scan":
-            settings = {"columns": columns} | ({} if quiet else {"report": info})
-        figure = function_for(source, "draws")(Path(source), **settings)
-    if options["paper"]:
-        for_paper(figure, options["paper"], font_size)
-    # films are bytes already
-    content = figure if isinstance(figure, bytes) else to_bytes(figure, out.suffix)
+        reading = {"columns": columns} if name == "scan" else {}
+        looks = function_for(source, "shows")(Path(source), **reading)
+        notes = [line for look in looks for line in look.missing]
+        if flight:
+            looks = [_with_flight(look, Path(source), seed) for look in looks]
+        figure = draw(looks, "paths" if flight else "", title=Path(source).name, paper=size)
+    content = to_bytes(figure, out.suffix)
     write_result(out, content)
     for line in notes:
         info(line)
@@ -173,61 +153,56 @@ def _draw_samples(
     indices: tuple[int, ...],
     count: int | None,
     figure: str | None,
-    film: str,
-    suffix: str,
-    paper: float | None,
+    paper: "Paper",
     **predicted: Any,
 ) -> tuple[Any, list[str]]:
-    """Draw samples of a dataset; return the figure, or a film's content, and a line for each part
-    that could not be read."""
-    from scenegen.view.figures import FIGURES as DRAWN
+    """Draw samples of a dataset; return the figure, and a line for each part that could not be
+    read."""
     from scenegen.view.look import evenly, looks, title_of
-    from scenegen.view.panels import plain
-    from scenegen.view.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
+    from scenegen.view.stills import draw
 
     dataset = open_dataset(source, show_progress=progress)
     # figures without predictions load no network
-    bare = figure in ("sample", "world") or film
+    bare = figure in ("sample", "world")
     guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)
-    figure = figure or ("completions" if methods else "sample")
     # without --index and --sheet, the first sample
     numbers = indices or (evenly(len(dataset.split(split)), count) if count else (0,))
-    if film == "flight":
-        numbers = _same_world(dataset, split, numbers[0])
     looked, notes = looks(dataset, split, numbers, guesses)
-    title = plain(title_of(dataset))
-    is_single = len(looked) == 1 and not count
-    # print has captions, so no title
-    heading = "" if paper else f"{title}, {looked[0].name}" if is_single else title
-    if film == "turn":
-        return draw_turn(looked[0], title=heading, suffix=suffix), notes
-    if film == "flight":
-        return draw_flight(looked, title=title, suffix=suffix), notes
+    title = title_of(dataset)
+    if len(looked) == 1:
+        title += f", {looked[0].name}"
     if figure == "world":
-        return _draw_archived(dataset, split, numbers[0], heading), notes
-    # a single sample has room for levels of its distances
-    if figure == "sample" and is_single:
-        return draw_sample(looked[0], title=heading, width=paper), notes
-    draw = draw_sheet if figure == "sample" else DRAWN[figure]
-    return draw(looked, title=heading, width=paper), notes
+        return _draw_archived(dataset, split, numbers[0], title, paper), notes
+    figure = figure or ("completions" if methods else "sample")
+    return draw(looked, figure, title=title, paper=paper), notes
 
 
-def _same_world(dataset: "AnyDataset", split: str, index: int) -> list[int]:
-    """Return the samples of a sample's world, in order, up to `MAX_ON_SHEET`."""
-    names = dataset.split(split).names
-    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MAX_ON_SHEET]
-
-
-def _draw_archived(dataset: "AnyDataset", split: str, index: int, title: str) -> Any:
+def _draw_archived(
+    dataset: "AnyDataset", split: str, index: int, title: str, paper: "Paper"
+) -> Any:
     """Draw the world of a sample, with the map's box and all viewpoints of the world."""
     import numpy as np
 
-    from scenegen.view.pictures import draw_world
-    from scenegen.worlds.world import solid
+    from scenegen.view.opened import look_of_world
+    from scenegen.view.stills import draw, with_path
 
     samples = dataset.split(split)
-    sample = samples[index]
-    places = np.stack([samples[n].position for n in _same_world(dataset, split, index)])
+    sample, world = samples[index], samples.names[index][1]
+    of_world = [n for n, (_, other, _) in enumerate(samples.names) if other == world]
+    places = np.stack([samples[n].position for n in of_world[:MAX_ON_SHEET]])
+    look = look_of_world(dataset.compile(split, int(sample.world)), title)
     box = sample.origin, sample.origin + dataset.grid.extent_m
-    world = solid(dataset.compile(split, int(sample.world)), title)
-    return draw_world(world, title=title, places=places, box=box)
+    return draw([with_path(look, "flight", places)], "paths", title=title, paper=paper, box=box)
+
+
+def _with_flight(look: Any, path: Path, seed: int) -> Any:
+    """Add a random flight to the world of a file."""
+    import numpy as np
+
+    from scenegen.draw.source import read_world
+    from scenegen.view.stills import with_path
+    from scenegen.worlds.flight import poses_in_flight
+    from scenegen.worlds.world import solid
+
+    poses = poses_in_flight(solid(read_world(path), str(path)), seed=seed)
+    return with_path(look, "flight", np.stack([pose.position for pose in poses]))

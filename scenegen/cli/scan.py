@@ -80,8 +80,7 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     rows = {name: _facts(sensor) for name, sensor in chosen.items()}
     if out is not None:
         from scenegen.base.files import write_result
-        from scenegen.view.panels import to_bytes
-        from scenegen.view.pictures import draw_patterns
+        from scenegen.view.stills import draw_patterns, to_bytes
 
         write_result(out, to_bytes(draw_patterns(chosen), ".png"))
     if as_json:

@@ -324,8 +324,13 @@ def _with_parts(
 ) -> Recipe:
     """Add the optional parts of samples that the user chose to a recipe. Raises RecipeError if they
     do not go with it, or with each other."""
+    chosen = resolved(parts, source.class_names)
+    for name in chosen.keys() & recipe.parts.keys():
+        raise RecipeError(
+            f"the recipe has [{name}], and --{name} is given beside it; leave one out"
+        )
     with reraise_as(RecipeError):
-        return replace(recipe, parts={**recipe.parts, **resolved(parts, source.class_names)})
+        return replace(recipe, parts={**recipe.parts, **chosen})
 
 
 def _folder(out: str | Place | None, name: str) -> Place:

@@ -232,15 +232,14 @@ def _draw(dataset: Dataset, draft: Path) -> str:
     samples, notes = looks(dataset, split, evenly(len(dataset.split(split)), ON_PAGE))
     parts = []
     if find_spec("matplotlib") is not None:
-        from scenegen.view.panels import to_bytes
-        from scenegen.view.pictures import draw_sample
+        from scenegen.view.stills import draw, to_bytes
 
         (draft / "pictures").mkdir()
         for number, look in enumerate(
             looks(dataset, split, evenly(len(dataset.split(split)), SHOWN))[0]
         ):
             name = f"pictures/{split}-{number}.png"
-            write_atomic(draft / name, to_bytes(draw_sample(look), ".png"))
+            write_atomic(draft / name, to_bytes(draw([look]), ".png"))
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
     with suppress(DatasetError):  # a grid that is too large

@@ -1,14 +1,12 @@
-"""Colours and projection of pictures and pages.
+"""Colours of pictures and pages, red, green and blue from 0 to 255.
 
-Colours of heights, distances, errors and paths are red, green and blue from 0 to 255. A `View` is a
-parallel projection from above and aside: it maps points to the paper, and voxels to visible faces.
+Readers who cannot tell red from green can tell them apart: what is drawn together differs in
+brightness, too.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +18,20 @@ Rgb = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 Anchors = tuple[Rgb, ...]
 """A colour scale: colours at equal steps, linear between them."""
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Size of a picture."""
+
+    width: float | None = None
+    """Width in print, inches; None: for the screen, as wide as its panels need."""
+    points: float = 8.0
+    """Size of letters, points."""
+
+
+SCREEN = Paper()
+"""Pictures that are not for print."""
 
 
 def scale(text: str) -> Anchors:
@@ -42,9 +54,9 @@ PALE = 0.3
 """Share of the colour that an error beside a correct voxel has; the rest is white."""
 START, GOAL = (0, 158, 115), (255, 205, 0)
 """Ends of a path."""
-PATHS = dict(zip(("tudf", "occ", "proposed"), scale("0060c8 f08c00 7a3cc8"), strict=True))
+PATHS = dict(zip(("tudf", "occ", "proposed"), scale("1f86e0 f08c00 4f1a96"), strict=True))
 """Colours of paths by the names of the paper's networks."""
-OTHER_PATHS = scale("6e5028 0096aa 787878 b0c800")
+OTHER_PATHS = scale("0096aa 6e5028 b0c800 787878")
 """Colours of other methods' paths, in turn; none of them has another meaning in a legend."""
 ON_PAGE = {
     "heights": HEIGHTS,
@@ -104,90 +116,3 @@ def error_colours(deep: Rgb, right: Mask, places: Ints) -> Floats:
         away = distance_transform_edt(~right)[tuple(places.T)]
         share = PALE + (1 - PALE) * np.clip((away - 1) / (DEEP - 1), 0, 1)
     return 1 - share[:, None] * (1 - np.array(rgb(deep)))
-
-
-CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-"""Corners of a face (4, 2), along the two axes that it spans."""
-SHADES = (0.74, 0.86, 1.0)
-"""Brightness of faces across x, y and z."""
-
-
-@dataclass(frozen=True)
-class View:
-    """A parallel projection, by the direction towards the eye, which is above."""
-
-    azimuth: float = math.radians(-60)
-    """Azimuth of the eye, counter-clockwise from x, radians."""
-    elevation: float = math.radians(32)
-    """Elevation of the eye, radians, between 0 and π/2."""
-
-    @cached_property
-    def eye(self) -> Floats:
-        """Unit vector towards the eye (3,)."""
-        level = math.cos(self.elevation)
-        x, y = level * math.cos(self.azimuth), level * math.sin(self.azimuth)
-        return np.array([x, y, math.sin(self.elevation)])
-
-    @cached_property
-    def right(self) -> Floats:
-        """Unit vector to the right on the paper (3,)."""
-        return np.array([-math.sin(self.azimuth), math.cos(self.azimuth), 0.0])
-
-    @cached_property
-    def up(self) -> Floats:
-        """Unit vector upwards on the paper (3,)."""
-        return np.cross(self.eye, self.right)
-
-    def project(self, points: Any) -> Floats:
-        """Project points (…, 3) of the world onto the paper (…, 2), right and up; lengths across
-        the view stay."""
-        return np.asarray(points, float) @ np.stack([self.right, self.up], axis=1)
-
-
-VIEW = View()
-"""The view of all pictures unless they turn."""
-
-
-def visible_faces(mask: Mask, view: View) -> tuple[Ints, Ints, Floats]:
-    """Return the faces of voxels that face the eye and touch no other voxel.
-
-    Args:
-        mask: The voxels (x, y, z).
-        view: The projection.
-
-    Returns:
-        Corners (F, 4, 3) in voxels, the voxel of each face (F, 3), and its brightness (F,), ordered
-        for painting: later faces hide earlier ones.
-    """
-    # padded, so that the map's outer faces have no neighbour
-    padded, towards = np.pad(mask, 1), view.eye > 0
-    sides = np.where(towards, 1, -1)
-    # of each axis only the side towards the eye can be seen
-    exposed = [
-        mask & ~np.roll(padded, -side, axis)[1:-1, 1:-1, 1:-1] for axis, side in enumerate(sides)
-    ]
-    axes, *places = np.nonzero(exposed)
-    voxels = np.stack(places, axis=1)
-    order = np.argsort(voxels @ view.eye, kind="stable")  # of cubes, the nearest hides the others
-    axes, voxels = axes[order], voxels[order]
-    faces = [np.insert(CORNERS, axis, side, axis=1) for axis, side in enumerate(towards)]
-    return voxels[:, None] + np.stack(faces)[axes], voxels, np.array(SHADES)[axes]
-
-
-def box_edges(low: Floats, high: Floats, view: View = VIEW) -> tuple[Floats, Floats]:
-    """Return the edges of a box.
-
-    Args:
-        low: Lower corner (3,).
-        high: Upper corner (3,).
-        view: The projection.
-
-    Returns:
-        Ends of the edges behind the box (3, 2, 3), and of those in front (9, 2, 3).
-    """
-    pairs = itertools.combinations(np.indices((2, 2, 2)).reshape(3, -1).T, 2)
-    edges = np.array([pair for pair in pairs if np.ptp(pair, axis=0).sum() == 1])
-    # the hidden ones are those that meet at the corner farthest from the eye
-    hidden = (edges == (view.eye < 0)).all(axis=2).any(axis=1)
-    ends = np.where(edges, high, low)
-    return ends[hidden], ends[~hidden]

@@ -58,22 +58,17 @@ class Shown:
 
 def picture(figure: Any) -> str:
     """Return a figure as an HTML element."""
-    from scenegen.view.panels import to_bytes
+    from scenegen.view.stills import to_bytes
 
-    content = base64.b64encode(to_bytes(figure, ".webp")).decode()
+    content = base64.b64encode(to_bytes(figure, ".png")).decode()
     style = "max-width: 100%; max-height: 100%"
-    return f'<img src="data:image/webp;base64,{content}" style="{style}">'
+    return f'<img src="data:image/png;base64,{content}" style="{style}">'
 
 
 def _draw(look: Look) -> Any:
-    from scenegen.view.figures import draw_completions
-    from scenegen.view.panels import plain
-    from scenegen.view.pictures import draw_alone, draw_sample
+    from scenegen.view.stills import draw
 
-    title = plain(look.name)
-    if look.tudf is None and not look.guesses:  # a scan, a map, a world
-        return draw_alone(look, title=title)
-    return draw_completions([look], title=title) if look.guesses else draw_sample(look, title=title)
+    return draw([look], title=look.name)
 
 
 def show(

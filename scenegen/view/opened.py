@@ -35,18 +35,19 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 """Attitude of a sensor whose attitude is not known."""
 
 
-def looks_of_scan(path: Path) -> list[Look]:
+def looks_of_scan(path: Path, columns: int | None = None) -> list[Look]:
     """Read the scan of a file, in the frame of its sensor.
 
     Args:
         path: A point cloud, see `scenegen.worlds.clouds.READERS`.
+        columns: See `scenegen.worlds.clouds.read_cloud`.
 
     Raises:
         DatasetError: The file cannot be read, or has no returns.
     """
     from scenegen.worlds.clouds import read_cloud
 
-    cloud = read_cloud(path)
+    cloud = read_cloud(path, columns=columns)
     returns = cloud.points[cloud.returned]
     if not len(returns):
         raise DatasetError(f"{path}: none of its points is a return")
@@ -151,10 +152,20 @@ def looks_of_world(path: Path) -> list[Look]:
         SceneError: The file holds no world.
     """
     from scenegen.draw.source import read_world
+
+    return [look_of_world(read_world(path), path.name)]
+
+
+def look_of_world(world: Any, name: str) -> Look:
+    """Make a sample of a world, or of the voxels of a map.
+
+    Args:
+        world: A `World`, or a `Place`.
+        name: Name for titles.
+    """
     from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
-    world = read_world(path)
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
     if isinstance(world, Place):
@@ -173,18 +184,16 @@ def looks_of_world(path: Path) -> list[Look]:
     masks = {"occupancy": truth["occupancy"]}
     if "known" in truth:
         masks["unknown"] = ~truth["known"]
-    return [
-        Look(
-            name=path.name,
-            grid=grid,
-            origin=origin,
-            position=origin + grid.extent_m / 2,
-            quaternion=LEVEL,
-            masks=masks,
-            known=truth.get("known"),
-            surfaces=surfaces,
-        )
-    ]
+    return Look(
+        name=name,
+        grid=grid,
+        origin=origin,
+        position=origin + grid.extent_m / 2,
+        quaternion=LEVEL,
+        masks=masks,
+        known=truth.get("known"),
+        surfaces=surfaces,
+    )
 
 
 def box_around(low: Floats, high: Floats) -> tuple[GridSpec, Floats]:

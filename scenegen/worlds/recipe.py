@@ -221,8 +221,9 @@ def read_recipe(path: Path, kind: str | None = None, **settings: Any) -> Recipe:
     """Read a recipe from a TOML file.
 
     It has `kind`, `difficulty`, and tables [world], [flight], [accept], [lidar], [noise],
-    [mapping], [known] and [grid] of values that differ from the preset. A sensor of the user's own
-    is imported, so look at the `[lidar] sensor` of a stranger's recipe before you run it.
+    [mapping], [known], [movers] and [grid] of values that differ from the preset. A sensor of the
+    user's own is imported, so look at the `[lidar] sensor` of a stranger's recipe before you run
+    it.
 
     Args:
         path: The file.
@@ -338,6 +339,8 @@ def make_recipe(
     }
     if "known" in tables:
         kinds["known"] = Known
+    if "movers" in tables:
+        kinds["movers"] = Traffic
     prefix = f"{where}: " if where else ""
     tables = _with_options(tables, where, settings)
     level = tables.pop("difficulty", "medium")
@@ -373,6 +376,8 @@ def make_recipe(
         name: from_table(kinds[name], table, f"{prefix}[{name}]", folder)
         for name, table in values.items()
     }
+    if "movers" in parts:
+        parts["parts"] = {"movers": parts.pop("movers")}
     if kind != "scene" and level != "medium":
         _check_graded(world, level, parts["world"], prefix)
     if sensor is None:

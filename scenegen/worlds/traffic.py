@@ -25,7 +25,7 @@ class Traffic(Checked):
 
     people: tuple[int, int] = number((2, 4), minimum=0, maximum=MAX_MOVERS, rising=True)
     """People of a world: upright capsules, where the kind has people."""
-    vehicles: tuple[int, int] = number((1, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
+    vehicles: tuple[int, int] = number((0, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
     """Vehicles: a box with a cabin, where the kind has vehicles."""
     drones: tuple[int, int] = number((1, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
     """Drones: flat ellipsoids."""
@@ -70,6 +70,6 @@ class Traffic(Checked):
 
 PRESETS = {
     "light": Traffic(),
-    "dense": Traffic(people=(6, 10), vehicles=(2, 3), drones=(4, 6)),
+    "dense": Traffic(people=(6, 10), vehicles=(1, 3), drones=(4, 6)),
 }
 """The settings by the value of --movers."""

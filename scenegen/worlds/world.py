@@ -254,7 +254,10 @@ def populated(
     movers = draw_movers(world.solids, caster, zones, traffic, rng=rng)
     if movers is None:
         return None
-    return replace(world, mjcf=with_text(world.mjcf, movers), movers=movers)
+    moving = replace(world, mjcf=with_text(world.mjcf, movers), movers=movers)
+    # what stands still is the same, and so are its engines
+    moving._casters.update(world._casters)
+    return moving
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:

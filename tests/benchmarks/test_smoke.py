@@ -28,7 +28,7 @@ LEARNED = {
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
     *("extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
-    *("mutants", "study", "verify"),
+    *("movers", "mutants", "study", "verify"),
 }
 """These take some seconds."""
 

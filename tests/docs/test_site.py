@@ -35,3 +35,9 @@ def test_the_reference_has_every_public_name(site, package):
 def test_the_record_of_work_is_not_on_the_site(site):
     assert (site / "glossary" / "index.html").exists()
     assert not (site / "log").exists()
+
+
+def test_the_site_holds_the_page_that_it_shows(site):
+    shown = (site / "pictures" / "look" / "live.html").read_text()
+    assert shown.count('"name": "world ') == 3
+    assert "live.html" in (site / "assets" / "site.js").read_text()

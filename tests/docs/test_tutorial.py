@@ -40,6 +40,8 @@ def test_the_notebook_is_the_page():
     assert len(text.encode()) < MAX_BYTES
     cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
     assert all(cell["outputs"] for cell in cells[1:])  # the first sets up
+    pictures = [output["data"] for cell in cells for output in cell["outputs"] if "data" in output]
+    assert [[*data] for data in pictures] == len(pictures) * [["image/png", "text/plain"]]
     assert not any(word in text for word in ("<iframe", "<script", "\\u001b"))
 
 
@@ -64,5 +66,5 @@ def test_the_whole_page_runs_in_an_empty_folder(tmp_path):
     assert tutorial.commands(said) == tutorial.commands(PAGE)
     for name in tutorial.PICTURE.findall(PAGE):
         assert (tmp_path / name).stat().st_size > 1000
-        assert "image/webp" in outputs[f'Image("{name}")'][0]["data"]
-    assert "data:image/webp" in outputs["scenegen.show(sample)"][0]["data"]["text/html"]
+        assert "image/png" in outputs[f'Image("{name}")'][0]["data"]
+    assert "image/png" in outputs["scenegen.show(sample)"][0]["data"]

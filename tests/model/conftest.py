@@ -55,5 +55,5 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(
         "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
     )
-    for name in ("draw_charts", "draw_failures"):
-        monkeypatch.setattr(f"scenegen.model.bench.shown.{name}", lambda *given: [])
+    for name, nothing in (("draw_failures", []), ("extremes", "")):
+        monkeypatch.setattr(f"scenegen.model.bench.shown.{name}", lambda *given, n=nothing: n)

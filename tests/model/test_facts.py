@@ -81,7 +81,7 @@ def test_files_are_inspected(here, capsys, name):
 
 @pytest.mark.parametrize("name", ["scan.pcd", "done.h5", "run"])
 def test_files_are_drawn(here, capsys, monkeypatch, name):
-    monkeypatch.setattr("scenegen.view.panels.DPI", 40)
+    monkeypatch.setattr("scenegen.view.stills.DPI", 40)
     assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", "")
     assert (here / "x.png").read_bytes().startswith(b"\x89PNG")
 
@@ -93,7 +93,7 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     assert sample["name"] == look.name == "done"
     picture = scenegen.show(str(here / "run"), out=here / "picture.html")
     assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
-    assert '<img src="data:image/webp;base64,' in (here / "picture.html").read_text()
+    assert '<img src="data:image/png;base64,' in (here / "picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
 
 

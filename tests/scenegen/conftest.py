@@ -92,8 +92,8 @@ def undrawn(monkeypatch):
     """No picture is drawn for a published folder: that of test_stage.py has them."""
     pytest.importorskip("matplotlib")
     monkeypatch.setattr("scenegen.publish.stage.SHOWN", 1)
-    monkeypatch.setattr("scenegen.view.pictures.draw_sample", lambda look: None)
-    monkeypatch.setattr("scenegen.view.panels.to_bytes", lambda figure, ending: b"\x89PNG")
+    monkeypatch.setattr("scenegen.view.stills.draw", lambda looks: None)
+    monkeypatch.setattr("scenegen.view.stills.to_bytes", lambda figure, ending: b"\x89PNG")
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.draw.draw import truth_of
+from scenegen.worlds.recipe import read_recipe
 from scenegen.worlds.traffic import PRESETS, Traffic
 from tests.command_line import done
 from tests.conftest import dataset_in, small_recipe
@@ -182,3 +183,27 @@ def test_movers_that_find_no_room_are_named():
 def test_presets_of_movers_give_samples(kind):
     recipe = dataclasses.replace(small_recipe(kind), parts={"movers": PRESETS["light"]})
     assert len(drawn_unit(recipe, seed=0).world.movers) >= 3
+
+
+def recipe_with(tmp_path, table):
+    file = tmp_path / "recipe.toml"
+    file.write_text(f'kind = "pillar"\n[movers]\n{table}\n')
+    return file
+
+
+def test_a_recipes_table_sets_movers(tmp_path):
+    traffic = read_recipe(recipe_with(tmp_path, "people = [1, 2]\nsensor_mps = 2.5")).traffic
+    assert (traffic.people, traffic.sensor_mps) == ((1, 2), 2.5)
+
+
+@pytest.mark.parametrize(
+    "table",
+    ["cats = 3", "people = [3, 1]", "person_mps = [0.5, 40.0]", "people = [20, 24]"],
+)
+def test_settings_out_of_bounds_are_refused(tmp_path, table):
+    refuses(table, read_recipe, recipe_with(tmp_path, table))
+
+
+def test_a_table_and_an_option_are_refused_together(tmp_path, capsys):
+    file = recipe_with(tmp_path, "people = [1, 2]")
+    refuses_command(capsys, f"generate --recipe {file} --n 1 --movers light -o {tmp_path}/d")

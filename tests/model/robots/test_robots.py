@@ -220,11 +220,13 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     ]
     better = replace(entry, robot="<b>better</b>", courses=courses[::-1])
     (tmp_path / "better.json").write_bytes(better.encoded())
+    (tmp_path / "better.html").touch()  # its film
     page = tmp_path / "page.html"
     done(capsys, f"fly rank {tmp_path} -o {page}")
     shown = page.read_text()
     assert f"own: {part}" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
+    assert shown.count("src='better.html'") == shown.count("<iframe") == 1
     assert "98765." not in shown  # scores follow from what was flown
 
 

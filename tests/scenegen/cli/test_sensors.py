@@ -13,7 +13,7 @@ from lidarsim import BeamTable
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
-from scenegen.view.pictures import draw_patterns
+from scenegen.view.stills import draw_patterns
 from tests.command_line import ROOT, SMALL, done, refused
 from tests.refusals import refuses_command
 from tests.scenegen import cases

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.draw.source import DrawnWorlds
 from scenegen.truth.shapes import distance
+from scenegen.worlds.courses import TICK_S, from_stop_to_stop, without_stop
 from scenegen.worlds.kinds import kind_names
-from scenegen.worlds.movers import TICK_S, from_stop_to_stop, read_text, without_stop
+from scenegen.worlds.movers import read_text
 from scenegen.worlds.recipe import preset
 from scenegen.worlds.traffic import KINDS, PERIOD_S, PRESETS, Traffic
 from scenegen.worlds.world import compile_world, populated

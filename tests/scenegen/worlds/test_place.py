@@ -137,7 +137,7 @@ def test_maps_get_more_draws_by_default(dataset, tmp_path, table, max_draws):
 
 
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenegen.model.bench.shown._webp", lambda figure: b"")
+    monkeypatch.setattr("scenegen.model.bench.shown.draw_failures", lambda *given: [])
     out = tmp_path / "bench"
     words = f"bench {dataset} --quick --split train --workers 1 --method truth --method extrude"
     printed = done(capsys, f"{words} -o {out}")
