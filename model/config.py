@@ -82,12 +82,13 @@ INPUTS = Registry(
 """Channels that a network may take: functions of (sample or scan, grid, sensor)."""
 HORIZONS = {"occupancy+0.5": 0.5, "occupancy+1": 1.0, "occupancy+2": 2.0}
 """Targets of occupancy at later times: how long after a sample's time, seconds."""
+LATER = dict.fromkeys(HORIZONS, "scenegen.model.bench.moving:Later")
 TARGETS = Registry(
     "target",
     {
         "occupancy": "scenegen.model.targets:Occupancy",
         "tudf": "scenegen.model.targets:Tudf",
-        **dict.fromkeys(HORIZONS, "scenegen.model.targets:Later"),
+        **LATER,
     },
 )
 """Classes of targets that a network may predict; see `scenegen.model.targets.Target`."""
@@ -99,7 +100,7 @@ RESERVED = {
 FIGURES = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
 """Names of a run's figures, besides metrics, that no target, metric or term of a loss may have."""
 
-OWN_METRICS = Registry("metric", {name: TARGETS.builtin[name] for name in HORIZONS})
+OWN_METRICS = Registry("metric", LATER)
 """A user's own metrics of the bench, and targets that a dataset must have; those that come with
 scenegen are `scenegen.model.bench.metrics.METRICS`, and always measured."""
 

@@ -169,42 +169,6 @@ class Occupancy(Target):
         return output.sigmoid()
 
 
-class Later(Occupancy):
-    """Occupancy some time after the sample's: movers have moved. Outputs are logits."""
-
-    part = ""
-
-    def __init__(self, after_s: float):
-        """Fix the time.
-
-        Args:
-            after_s: How long after the sample's time, seconds.
-        """
-        self.after_s, self.end = after_s, f"+{after_s:g}"
-
-    @property
-    def metrics(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """IoU over all scored voxels, and over those of them that movers pass."""
-        from scenegen.model.bench.metrics import metrics_later  # which imports this module
-
-        return metrics_later(self.after_s)
-
-    def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
-        """Compute the occupancy at that time.
-
-        Args:
-            sample: The sample.
-            grid: Its grid; not used.
-
-        Returns:
-            Mask (*grid.shape).
-
-        Raises:
-            MissingPartError: It has no movers, or courses are not stored for so long.
-        """
-        return sample.motion.occupancy(self.after_s)
-
-
 class Tudf(Target):
     """The distance to the nearest occupied voxel's centre, metres."""
 

@@ -7,14 +7,14 @@ One more metric of maps is an entry of `METRICS`, or a user's own, as ``--metric
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
 from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
@@ -171,28 +171,6 @@ def chamfer(scored_map: ScoredMap) -> float:
     return float(voxels) * scored_map.grid.voxel_m
 
 
-def iou_later(after_s: float, scored_map: ScoredMap, *, passed: bool = False) -> float:
-    """Compute the IoU at a later time. The answer of a method that predicts nothing for it is its
-    occupancy now.
-
-    Args:
-        after_s: How long after the sample's time, seconds.
-        scored_map: The map and its truth.
-        passed: Whether only voxels count that a moving mover touches now or then.
-
-    Returns:
-        From 0 to 1; NaN without such voxels.
-    """
-    name, counted = f"occupancy+{after_s:g}", scored_map.scored
-    if passed:
-        counted = counted & scored_map.sample.motion.passed(after_s)
-    predicted = scored_map.prediction.others.get(name, scored_map.occupied)
-    predicted = predicted > np.float32(scored_map.thresholds.probability)
-    if not counted.any():
-        return NAN
-    return iou(predicted[counted], scored_map.truth[name][counted])
-
-
 def ghosts(scored_map: ScoredMap) -> float:
     """Compute how many of the ghosts are predicted to be occupied: voxels that hold a return of
     some scan, and nothing now.
@@ -202,27 +180,6 @@ def ghosts(scored_map: ScoredMap) -> float:
     """
     seen = scored_map.sample.observed & ~scored_map.truth["occupancy"] & scored_map.scored
     return float(scored_map.occupied[seen].mean()) if seen.any() else NAN
-
-
-def metrics_later(after_s: float) -> "dict[str, Metric]":
-    """Make the metrics of occupancy at a later time.
-
-    Args:
-        after_s: How long after the sample's time, seconds.
-
-    Returns:
-        Metrics by name.
-    """
-    return {
-        "iou": Metric(f"IoU after {after_s:g} s", partial(iou_later, after_s)),
-        # validation has no samples
-        "moving_iou": Metric(
-            f"IoU of voxels that movers pass, after {after_s:g} s",
-            partial(iou_later, after_s, passed=True),
-            tested=("map",),
-            bench_only=True,
-        ),
-    }
 
 
 METRICS = {

@@ -1,23 +1,27 @@
-"""Rows of the bench for datasets with movers: what simple rules say of occupancy at later times."""
+"""Occupancy at later times, of datasets with movers: targets, their metrics, and rows of the bench
+that say by simple rules how it goes on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats, GridSpec, Mask, iou
 from lidarsim.scan import Scan
 from scenegen.base.errors import MissingPartError
 from scenegen.dataset.read import Split
 from scenegen.draw.sample import Sample
+from scenegen.model.bench.metrics import NAN, Metric, ScoredMap
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import HORIZONS
+from scenegen.model.targets import Occupancy
 
 RAYS = 4
 """Rays of the other scan about a point that must all go on behind it."""
@@ -29,7 +33,67 @@ FASTEST_MPS = 8.0
 """The greatest speed of a mover, metres a second."""
 
 
-Later = Callable[[float], Mask]
+class Later(Occupancy):
+    """Occupancy some time after the sample's: movers have moved. Outputs are logits."""
+
+    part = ""
+
+    def __init__(self, after_s: float):
+        """Fix the time.
+
+        Args:
+            after_s: How long after the sample's time, seconds.
+        """
+        self.after_s, self.end = after_s, f"+{after_s:g}"
+
+    @property
+    def metrics(self) -> Mapping[str, Metric]:  # type: ignore[override]
+        """IoU over all scored voxels, and over those of them that movers pass."""
+        title, passed = f"IoU after {self.after_s:g} s", partial(self.iou, passed=True)
+        moving = f"{title}, of voxels that movers pass"
+        return {
+            "iou": Metric(title, self.iou),
+            # validation has no samples
+            "moving_iou": Metric(moving, passed, tested=("map",), bench_only=True),
+        }
+
+    def iou(self, scored_map: ScoredMap, *, passed: bool = False) -> float:
+        """Compute the IoU at that time. The answer of a method that predicts nothing for it is its
+        occupancy now.
+
+        Args:
+            scored_map: The map and its truth.
+            passed: Whether only voxels count that a moving mover touches now or then.
+
+        Returns:
+            From 0 to 1; NaN without such voxels.
+        """
+        name, counted = f"occupancy{self.end}", scored_map.scored
+        if passed:
+            counted = counted & scored_map.sample.motion.passed(self.after_s)
+        predicted = scored_map.prediction.others.get(name, scored_map.occupied)
+        predicted = predicted > np.float32(scored_map.thresholds.probability)
+        if not counted.any():
+            return NAN
+        return iou(predicted[counted], scored_map.truth[name][counted])
+
+    def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
+        """Compute the occupancy at that time.
+
+        Args:
+            sample: The sample.
+            grid: Its grid; not used.
+
+        Returns:
+            Mask (*grid.shape).
+
+        Raises:
+            MissingPartError: It has no movers, or courses are not stored for so long.
+        """
+        return sample.motion.occupancy(self.after_s)
+
+
+OverTime = Callable[[float], Mask]
 """Occupancy (*grid.shape) as a function of the seconds after a sample's time."""
 
 
@@ -38,7 +102,7 @@ class Rule:
     """A row that says occupancy now and at later times by a rule."""
 
     name: str
-    rule: Callable[[Sample], Later]
+    rule: Callable[[Sample], OverTime]
     """Of module level, since rows travel to processes."""
     learned: bool = False
 
@@ -62,20 +126,20 @@ class Rule:
         return Prediction(later(0.0).astype(np.float32), others=others)
 
 
-def moved(sample: Sample) -> Later:
+def moved(sample: Sample) -> OverTime:
     """The truth, also at later times: the ceiling."""
     return sample.motion.occupancy
 
 
-def flow(sample: Any) -> Later:
+def flow(sample: Any) -> OverTime:
     """The truth now, of which each voxel of a mover goes straight on at its velocity."""
-    velocity, moving = sample.motion.flow(), sample.voxel_mover >= 0
-    centres, velocity = sample.grid.centres(sample.origin)[moving], velocity[moving]
-    still = sample.static_occupancy
+    moving, still = sample.voxel_mover >= 0, sample.static_occupancy
+    velocity = sample.motion.flow()[moving]
+    centres = sample.grid.centres(sample.origin)[moving]
     return lambda after_s: still | _holding([centres + after_s * velocity], sample)
 
 
-def tracked(sample: Sample) -> Later:
+def tracked(sample: Sample) -> OverTime:
     """The returns, of which those that moved between the last two scans go straight on: by
     observations alone.
 
