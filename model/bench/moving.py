@@ -133,10 +133,9 @@ def moved(sample: Sample) -> OverTime:
 
 def flow(sample: Any) -> OverTime:
     """The truth now, of which each voxel of a mover goes straight on at its velocity."""
-    moving, still = sample.voxel_mover >= 0, sample.static_occupancy
-    velocity = sample.motion.flow()[moving]
-    centres = sample.grid.centres(sample.origin)[moving]
-    return lambda after_s: still | _holding([centres + after_s * velocity], sample)
+    velocity, moving = sample.motion.flow(), sample.voxel_mover >= 0
+    centres, still = sample.grid.centres(sample.origin)[moving], sample.static_occupancy
+    return lambda after_s: still | _holding([centres + after_s * velocity[moving]], sample)
 
 
 def tracked(sample: Sample) -> OverTime:
