@@ -80,9 +80,16 @@ INPUTS = Registry(
     {name: f"scenegen.model.inputs:{name}" for name in ("observed", "free", "distance")},
 )
 """Channels that a network may take: functions of (sample or scan, grid, sensor)."""
+HORIZONS = {"occupancy+0.5": 0.5, "occupancy+1": 1.0, "occupancy+2": 2.0}
+"""Targets of occupancy at later times: how long after a sample's time, seconds."""
+LATER = dict.fromkeys(HORIZONS, "scenegen.model.bench.moving:Later")
 TARGETS = Registry(
     "target",
-    {"occupancy": "scenegen.model.targets:Occupancy", "tudf": "scenegen.model.targets:Tudf"},
+    {
+        "occupancy": "scenegen.model.targets:Occupancy",
+        "tudf": "scenegen.model.targets:Tudf",
+        **LATER,
+    },
 )
 """Classes of targets that a network may predict; see `scenegen.model.targets.Target`."""
 RESERVED = {
@@ -93,9 +100,9 @@ RESERVED = {
 FIGURES = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
 """Names of a run's figures, besides metrics, that no target, metric or term of a loss may have."""
 
-OWN_METRICS = Registry("metric", {})
-"""A user's own metrics of the bench; those that come with scenegen are
-`scenegen.model.bench.metrics.METRICS`, and always measured."""
+OWN_METRICS = Registry("metric", LATER)
+"""A user's own metrics of the bench, and targets that a dataset must have; those that come with
+scenegen are `scenegen.model.bench.metrics.METRICS`, and always measured."""
 
 METHODS = Registry(
     "method",
@@ -106,12 +113,16 @@ METHODS = Registry(
         "extrude": "scenegen.model.completion.protocol:Extrude",
         "truth": "scenegen.model.bench.methods:Truth",
         "seen": "scenegen.model.bench.visibility:Seen",
+        "moved": "scenegen.model.bench.moving:MOVED",
+        "flow": "scenegen.model.bench.moving:FLOW",
+        "tracked": "scenegen.model.bench.moving:TRACKED",
     },
 )
 """Classes of completers and of the bench's rows, made without arguments; a user's own completer as
 ``module:Class``."""
-USUAL = tuple(name for name in METHODS.builtin if name != "seen")
-"""The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
+USUAL = ("empty", "returns", "conservative", "extrude", "truth")
+"""The rows without any named: `seen` compiles every world, and others are for datasets with
+movers."""
 
 
 def is_own(name: str) -> bool:

@@ -149,6 +149,11 @@ def prefers_bfloat16() -> bool:
     return bool(has.get("amx_bf16" if "Intel" in processor() else "avx512_bf16"))
 
 
+def _module_name(target: str) -> str:
+    """Name of a target's modules, which torch allows no dot."""
+    return target_name(target).replace(".", "_")
+
+
 class Network(nn.Module):
     """The paper's network and its variants: a named batch, (B, X, Y, Z) for each input, to an
     `Output` (the paper, section "Coupled TUDF-Occupancy Learning")."""
@@ -162,7 +167,7 @@ class Network(nn.Module):
         branches = variant.decoders
         # with separate decoders, further targets have their own, too; these are never coupled
         if branches != SHARED:
-            branches = (*branches, *map(target_name, config.targets))
+            branches = (*branches, *map(_module_name, config.targets))
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
         self.preprocess = nn.Sequential(
@@ -183,7 +188,7 @@ class Network(nn.Module):
             features = 2 * finest  # `features` concatenates both nets at the finest level
         self.head = nn.ModuleDict(
             {
-                name: FinalUp(features, finest, config.channels_of(name))
+                _module_name(name): FinalUp(features, finest, config.channels_of(name))
                 for name in map(target_name, self.tasks)
             }
         )
@@ -192,8 +197,10 @@ class Network(nn.Module):
         """Apply the heads to the features (eq. 6)."""
         features = self.features(batch)
         heads = {
-            name: head(features.get(name, features.get("shared")))
-            for name, head in self.head.items()
+            name: head(features.get(module, features.get("shared")))
+            for name, (module, head) in zip(
+                map(target_name, self.tasks), self.head.items(), strict=True
+            )
         }
         return Output.of(heads, self.targets)
 

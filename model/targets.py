@@ -19,9 +19,15 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.parameters import short_repr
-from scenegen.base.errors import DatasetError, ScenegenError, as_own_code_error, reraise_as
+from scenegen.base.errors import (
+    DatasetError,
+    MissingPartError,
+    ScenegenError,
+    as_own_code_error,
+    reraise_as,
+)
 from scenegen.draw.sample import Sample
-from scenegen.model.config import TARGETS, is_own, named, target_name
+from scenegen.model.config import HORIZONS, TARGETS, is_own, named, target_name
 from scenegen.model.inputs import turned
 from scenegen.truth import distance_field
 
@@ -113,6 +119,8 @@ class Occupancy(Target):
     """Occupancy of a voxel; outputs are logits."""
 
     part, meaning, minimum, maximum = "occupancy_probability", "a probability from 0 to 1", 0.0, 1.0
+    end = ""
+    """End of the names of its truth and of its terms."""
 
     def truth(self, sample: Sample, grid: GridSpec) -> NDArray[Any]:
         """Return the true occupancy.
@@ -133,18 +141,19 @@ class Occupancy(Target):
 
         Args:
             output: Logits.
-            batch: Holds `occupancy`, and maybe `known`.
+            batch: Holds the truth, and maybe `known`.
             objective: See `Target.loss`.
 
         Returns:
             The weighted sum, and its terms without weights.
         """
-        config, truth = objective.config, (batch["occupancy"], batch.get("known"))
-        terms = {"occupancy": objective.occupancy_loss(output, *truth)}
-        total = terms["occupancy"]
+        config, name = objective.config, f"occupancy{self.end}"
+        truth = batch[name], batch.get("known")
+        terms = {name: objective.occupancy_loss(output, *truth)}
+        total = terms[name]
         if config.lovasz:
-            terms["lovasz"] = objective.lovasz_loss(output, *truth)
-            total = total + config.lovasz * terms["lovasz"]
+            lovasz = terms[f"lovasz{self.end}"] = objective.lovasz_loss(output, *truth)
+            total = total + config.lovasz * lovasz
         return config.occupancy * total, terms
 
     def prediction(self, output: "Tensor", grid: GridSpec) -> "Tensor":
@@ -234,7 +243,7 @@ def target_called(name: str) -> Target:
     """
     kind = named(TARGETS, name)
     with reraise_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
-        target: Target = kind()
+        target: Target = kind(HORIZONS[name]) if name in HORIZONS else kind()
     if not isinstance(target, Target):
         raise ScenegenError(f"target {name}: expected a subclass of scenegen.model.targets.Target")
     return target
@@ -291,6 +300,8 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
     fault: Exception
     try:
         truth = np.asarray(target.truth(sample, grid))
+    except MissingPartError:
+        raise
     except Exception as error:  # a loader process hands over no traceback
         fault = as_own_code_error(error)
     else:
@@ -311,10 +322,6 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
             f"have ({fault})"
         )
     raise fault
-
-
-class MissingPartError(DatasetError):
-    """The truth of a target needs a part of samples that the dataset lacks."""
 
 
 WITH = {

@@ -126,7 +126,8 @@ def answers(method: Any, sample: Sample, split: Split, *key: int, draws: int) ->
 
 
 class Truth:
-    """The truth as if it had been predicted: the ceiling of any map, for one planner."""
+    """The truth as if it had been predicted: the ceiling of any map, for one planner. For later
+    times it says the truth now."""
 
     name = "truth"
     learned = False

@@ -19,8 +19,16 @@ from lidarsim.jit import kernel
 from scenegen.base.errors import ScenegenError, as_own_code_error
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import FIGURES, NEAR_M, OWN_METRICS, Thresholds, named, target_name
-from scenegen.model.targets import Target
+from scenegen.model.config import (
+    FIGURES,
+    HORIZONS,
+    NEAR_M,
+    OWN_METRICS,
+    Thresholds,
+    named,
+    target_name,
+)
+from scenegen.model.targets import Target, target_called
 
 NAN = float("nan")
 
@@ -79,6 +87,8 @@ class ScoredMap:
     """Voxels that count: above the ground's underside, and known in a map of a real place."""
     certain: Mask | None = None
     """Voxels whose true distance is certain; None: all."""
+    sample: Any = None
+    """The sample; None in validation."""
 
     @cached_property
     def occupied(self) -> Mask:
@@ -159,6 +169,17 @@ def chamfer(scored_map: ScoredMap) -> float:
         for near, far in (surfaces, surfaces[::-1])
     )
     return float(voxels) * scored_map.grid.voxel_m
+
+
+def ghosts(scored_map: ScoredMap) -> float:
+    """Compute how many of the ghosts are predicted to be occupied: voxels that hold a return of
+    some scan, and nothing now.
+
+    Returns:
+        A share; NaN without ghosts.
+    """
+    seen = scored_map.sample.observed & ~scored_map.truth["occupancy"] & scored_map.scored
+    return float(scored_map.occupied[seen].mean()) if seen.any() else NAN
 
 
 METRICS = {
@@ -243,6 +264,9 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
     """
     metrics, targets = dict[str, Metric](), dict[str, Target]()
     for name in names:
+        if name in HORIZONS:
+            targets[name] = target_called(name)
+            continue
         entry, short = named(OWN_METRICS, name), name.rpartition(":")[2]
         if inspect.isclass(entry):
             entry = entry()
@@ -291,6 +315,8 @@ def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict
         ScenegenError: As in `find_metrics`.
     """
     of_targets = dict[str, Metric]()
+    if targets.keys() & HORIZONS.keys():
+        of_targets["ghosts"] = Metric("ghosts kept", ghosts, better="lower", bench_only=True)
     for target, kind in targets.items():
         for name, metric in kind.metrics.items():
             short, label = f"{target}_{name}", f"{name} of the target {target}"

@@ -206,7 +206,7 @@ MARKS = (
     "Dots are means. Lines, and brackets, are 95 % intervals, not corrected for the choice of the "
     "best. Grey: a reference, which reads the truth."
 )
-REFERENCES = ("truth", "seen")
+REFERENCES = ("truth", "seen", "moved", "flow")
 """Rows that read the ground truth, so that they are never marked as the best."""
 CAUSES = {
     "start_blocked": "none: the start is occupied",

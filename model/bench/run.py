@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
-from scenegen.base.errors import DatasetError, empty_split
+from scenegen.base.errors import DatasetError, MissingPartError, empty_split
 from scenegen.base.executors import Counted, Executor, check_together, chunked, counted, unheard
 from scenegen.base.workers import ALONE
 from scenegen.dataset.read import AnyDataset, Rows, Split
@@ -40,8 +40,8 @@ from scenegen.model.bench.trials import (
 )
 from scenegen.model.bench.visibility import CLASSES, UNOBSERVED, UNSCORED, Case, walled
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
-from scenegen.model.targets import MissingPartError, Target, truth_of
+from scenegen.model.config import HORIZONS, BenchConfig, PlanConfig, Thresholds
+from scenegen.model.targets import Target, targets_of, truth_of
 from scenegen.truth import distance_field
 from scenegen.view.look import evenly
 
@@ -295,7 +295,8 @@ def bench(
 def measured_targets(
     methods: Sequence[Method], config: BenchConfig, split: Split, index: int
 ) -> dict[str, Target]:
-    """Find the targets whose metrics are measured on a dataset.
+    """Find the targets whose metrics are measured on a dataset: occupancy at later times, of those
+    with movers, and others.
 
     Args:
         methods: Methods, whose targets count as far as the dataset has their truth.
@@ -311,7 +312,7 @@ def measured_targets(
         OwnCodeError: A target's code failed.
     """
     named = find_metrics(config.metrics)[1]
-    targets, sample, grid = dict[str, Target](), split[index], split.dataset.grid
+    targets, sample, grid = targets_of(HORIZONS), split[index], split.dataset.grid
     for method in methods:
         targets |= getattr(method, "targets", {})
     measured = dict[str, Target]()
@@ -471,6 +472,7 @@ def scored_map(
         thresholds=at,
         scored=case.classes != UNSCORED,
         certain=case.certain,
+        sample=case.sample,
     )
 
 

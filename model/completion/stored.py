@@ -27,6 +27,7 @@ from scenegen.model.completion.protocol import (
     PredictionError,
     check_prediction,
 )
+from scenegen.model.config import HORIZONS
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
@@ -299,7 +300,8 @@ def others_in(file: h5py.File) -> list[str]:
     text = str(file.attrs.get(OTHERS, ""))
     names = text.split(",") if text else []
     if len(set(names)) < len(names) or not all(
-        name.isidentifier() and name not in (*WHO, SAMPLES, *STORED) for name in names
+        (name.isidentifier() or name in HORIZONS) and name not in (*WHO, SAMPLES, *STORED)
+        for name in names
     ):
         raise DatasetError(
             f"names targets {short_repr(text)}, expected names of arrays after commas"

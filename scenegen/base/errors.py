@@ -70,6 +70,10 @@ class UnsupportedVersionError(CorruptFileError):
     """A file uses a name that this version does not know: a newer scenegen may have written it."""
 
 
+class MissingPartError(DatasetError):
+    """A dataset lacks the part of samples that is asked for."""
+
+
 class StoreError(ScenegenError):
     """A store refuses, is full, or does not answer. The content of the store is unknown then."""
 

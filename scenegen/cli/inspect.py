@@ -177,7 +177,7 @@ def _show(dataset: Path | str, summary: Json, *, details: bool) -> None:
 
 def _show_means(splits: Json) -> None:
     """Print the means of measures in each split, and the names of measures."""
-    from scenegen.view.inspect import TITLES
+    from scenegen.view.inspect import titles
 
     if not splits:
         return
@@ -185,7 +185,7 @@ def _show_means(splits: Json) -> None:
     cells = {name: [str(split[name]) for split in splits.values()] for name in counts}
     cells["measured"] = cells.pop("sampled")
     meanings = {"measured": "of these samples; --all measures all"}
-    for key, (title, unit) in TITLES.items():
+    for key, (title, unit) in titles(splits).items():
         factor = 100 if unit == "%" else 1
         spreads = [split["statistics"][key] for split in splits.values()]
         cells[key] = [
@@ -201,19 +201,16 @@ def _show_means(splits: Json) -> None:
 
 def _show_split(name: str, split: Json) -> None:
     """Print the statistics of a split, and the means of each of several kinds."""
-    from scenegen.view.inspect import TITLES
+    from scenegen.view.inspect import titles
 
-    rows, worlds = {}, split.get("world_means")
-    factors = {key: 100 if unit == "%" else 1 for key, (_, unit) in TITLES.items()}
-    for key, statistics in split["statistics"].items():
-        rows[key] = "–"  # unless a sample has this measure
-        if statistics["mean"] is not None:
-            mean, std, low, high = (factors[key] * value for value in statistics.values())
-            unit = TITLES[key][1]
-            rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
-            if worlds:
-                low, high = (factors[key] * worlds[key][end] for end in ("min", "max"))
-                rows[key] += f", worlds from {low:.2f} to {high:.2f}"
+    rows, worlds, measures = {}, split.get("world_means"), titles({name: split})
+    factors = {key: 100 if unit == "%" else 1 for key, (_, unit) in measures.items()}
+    for key, factor in factors.items():
+        mean, std, low, high = (factor * value for value in split["statistics"][key].values())
+        rows[key] = f"{mean:6.2f} ± {std:5.2f} {measures[key][1]}   from {low:.2f} to {high:.2f}"
+        if worlds:
+            low, high = (factor * worlds[key][end] for end in ("min", "max"))
+            rows[key] += f", worlds from {low:.2f} to {high:.2f}"
     counts = f"{split['samples']} samples of {split['worlds']} worlds"
     show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
     if kinds := split.get("kinds"):

@@ -312,6 +312,7 @@ def schema_of(described: "Recipe | Manifest") -> Schema:
         lidar=described.lidar,
         groups=groups_of(described),
         scans=described.mapping.scans,
+        after_s=getattr(described.parts.get("movers"), "after_s", -math.inf),
     )
 
 

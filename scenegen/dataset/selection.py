@@ -52,6 +52,12 @@ def _difficulty(number: int, sample: Sample) -> float:
     return float(_difficulties(sample)[number])
 
 
+def _ghosts(sample: Sample) -> float:
+    if sample.mover_kind is None:
+        return float("nan")
+    return float((sample.observed & ~sample.occupancy).sum())
+
+
 MEASURES: Mapping[str, Callable[[Sample], float]] = {
     "occupied": lambda sample: float(sample.occupancy.mean()),
     "observed": lambda sample: float(sample.observed.mean()),
@@ -61,10 +67,12 @@ MEASURES: Mapping[str, Callable[[Sample], float]] = {
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
     **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
+    "ghosts": _ghosts,
 }
 """Measures of a sample, for `inspect` and `take --where`; none is stored. Shares of voxels; the
 share of rays that returned, and their mean range, metres (NaN for none); the mean distance of
-voxels, metres; and the difficulty of the map."""
+voxels, metres; the difficulty of the map; and, of samples with movers, the number of voxels that
+hold a return of some scan and nothing at the sample's time."""
 COLUMNS = tuple(MEASURES)
 ROW = np.dtype([(name, "<f8") for name in MEASURES])
 """Type of a sample's measures in their file."""

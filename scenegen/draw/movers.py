@@ -1,9 +1,10 @@
 """Fields of samples with movers: how they are computed, and what follows from them at other
 times."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,14 @@ from lidarsim import AnalyticEngine, GridSpec
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, MovingCaster
 from lidarsim.pose import rotate
-from scenegen.base.errors import DatasetError, GenerationError
+from scenegen.base.errors import GenerationError, MissingPartError
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.traffic import MAX_MOVERS, MAX_PIECES, MAX_SOLIDS, Traffic
 
 NO_SHAPE = -1.0
 """Shape of a row of `mover_solids` that holds no solid."""
+OVER_TIME = re.compile(r"(occupancy|tudf)\+(\d+(?:\.\d+)?)|flow|moving")
+"""Fields that follow from a sample's movers, such as occupancy+0.5, that after half a second."""
 
 
 def ray_times(traffic: Traffic | None, lidar: Any, time_s: float) -> Any:
@@ -125,10 +128,10 @@ def stored_movers(sample: Any) -> Movers:
         The movers, whose courses hold from the earliest scan to `after_s` after the sample's time.
 
     Raises:
-        DatasetError: if the sample has none.
+        MissingPartError: if the sample has none.
     """
     if sample.mover_kind is None:
-        raise DatasetError("this sample has no movers; generate the dataset with --movers")
+        raise MissingPartError("this sample has no movers; generate the dataset with --movers")
     count = int(np.count_nonzero(sample.mover_kind))
     solids, course = sample.mover_solids[:count], sample.mover_course[:count]
     present, pieces = solids[:, :, 0] != NO_SHAPE, np.isfinite(course[:, :, 0])
@@ -144,6 +147,27 @@ def stored_movers(sample: Any) -> Movers:
         begin_s=course[:, :, 0][pieces],
         course=course[pieces][:, 1:].reshape(-1, CHANNELS, COEFFICIENTS),
     )
+
+
+def field_of(sample: Any, name: str) -> Any:
+    """Read a field of a sample, or compute one that `OVER_TIME` names.
+
+    Args:
+        sample: The sample.
+        name: Name of the field.
+
+    Returns:
+        Its value.
+
+    Raises:
+        MissingPartError: if the sample has no movers, or courses are not stored for so long.
+    """
+    match = OVER_TIME.fullmatch(name)
+    if match is None:
+        return getattr(sample, name)
+    if match[1]:
+        return getattr(sample.motion, match[1])(float(match[2]))
+    return sample.motion.flow() if name == "flow" else sample.motion.moving
 
 
 class Motion:
@@ -168,11 +192,11 @@ class Motion:
         """Check a time, and return it as the movers' courses have it, seconds.
 
         Raises:
-            DatasetError: if courses are not stored for it.
+            MissingPartError: if courses are not stored for it.
         """
         time_s = self._now_s + after_s
         if not self._begin_s <= time_s <= self._end_s:
-            raise DatasetError(
+            raise MissingPartError(
                 f"{after_s:g} s after the sample's time: courses are stored from "
                 f"{self._begin_s - self._now_s:g} to {self._end_s - self._now_s:g} s; generate the "
                 "dataset with another movers.after_s"
@@ -182,15 +206,25 @@ class Motion:
     @cached_property
     def moving(self) -> Mask:
         """(*grid.shape): voxels that a mover with a speed above 0 touches now."""
-        _, _, speeds, turns = self.movers.poses(self._now_s)
-        goes = speeds.any(axis=1) | (turns != 0)
-        number = self._sample.voxel_mover
-        return np.append(goes, False)[number]
+        return self.passed(0.0)
+
+    def passed(self, after_s: float) -> Mask:
+        """Voxels (*grid.shape) that a mover touches now or at a time, of those that move now or
+        are elsewhere then."""
+        now, then = (np.column_stack(self.movers.poses(self.at(t))) for t in (0.0, after_s))
+        # five columns of places and headings, then those of velocities
+        goes = (now != then)[:, :5].any(axis=1) | now[:, 5:].any(axis=1)
+        moves = np.append(goes, False)
+        return np.asarray(moves[self._sample.voxel_mover] | moves[self.voxels(after_s)])
+
+    @lru_cache(maxsize=8)  # noqa: B019 (so many maps are few; every row of the bench asks for them)
+    def voxels(self, after_s: float) -> NDArray[np.int8]:
+        """Which mover touches each voxel (*grid.shape) at a time; see `mover_voxels`."""
+        return mover_voxels(self.movers, self._grid, self._sample.origin, self.at(after_s))
 
     def occupancy(self, after_s: float) -> Mask:
         """Occupied voxels (*grid.shape) at a time: those of solids that stand, and of movers."""
-        now = mover_voxels(self.movers, self._grid, self._sample.origin, self.at(after_s))
-        return np.asarray(self._sample.static_occupancy | (now >= 0))
+        return np.asarray(self._sample.static_occupancy | (self.voxels(after_s) >= 0))
 
     def tudf(self, after_s: float) -> Field:
         """Truncated distances (*grid.shape) at a time, metres; see `Sample.tudf`."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import html
+import math
 import operator
 import sys
 from abc import abstractmethod
@@ -348,6 +349,8 @@ class Schema:
     """Groups of fields beyond those of all datasets."""
     scans: int = 1
     """Number of scans of a sample."""
+    after_s: float = -math.inf
+    """How long after a sample's time courses of its movers are stored, seconds; -inf without."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -453,6 +456,8 @@ class Samples(Sequence[Sample]):
 
         Args:
             fields: Names of the fields; all by default. Other fields are neither read nor derived.
+                Of samples with movers also "moving", "flow", and "occupancy+0.5" or "tudf+0.5" for
+                those half a second later; see `motion`.
 
         Raises:
             DatasetError: if a field does not exist, its shape differs between samples, or torch is

@@ -9,6 +9,7 @@ from torch.utils.data import Dataset
 
 from lidarsim.parameters import short_repr
 from scenegen.base.errors import DatasetError
+from scenegen.draw.movers import OVER_TIME, field_of
 
 
 class TensorSamples(Dataset[dict[str, torch.Tensor]]):
@@ -30,7 +31,7 @@ class TensorSamples(Dataset[dict[str, torch.Tensor]]):
     def __getitems__(self, indices: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Read several samples; torch calls this for a batch."""
         return [
-            {name: _tensor(getattr(sample, name)) for name in self.names}
+            {name: _tensor(field_of(sample, name)) for name in self.names}
             # read together: a stream draws their units in parallel
             for sample in self.samples.__getitems__(indices)
         ]
@@ -50,17 +51,24 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
         DatasetError: if a field does not exist, or its shape differs between samples.
     """
     known, schemas = samples.schema.names, samples.schemas
+    after_s = min(schema.after_s for schema in schemas)
     shapes = {
         name: {schema.shape(name) if name in schema.names else None for schema in schemas}
         for name in known
     }
     names = known if fields is None else (fields,) if isinstance(fields, str) else tuple(fields)
     for name in names:
-        if name not in known:
+        if match := OVER_TIME.fullmatch(str(name)):
+            if after_s < float(match[2] or 0):
+                raise DatasetError(
+                    f"{samples}: torch() has no field {name}: courses of movers are stored for "
+                    f"{max(after_s, 0):g} s; generate it with --movers, and with a longer after_s"
+                )
+        elif name not in known:
             raise DatasetError(
                 f"{samples}: torch() has no field {short_repr(name)}; expected {', '.join(known)}"
             )
-        if len(shapes[name]) > 1:
+        if len(shapes["occupancy" if match else name]) > 1:
             alike = [field for field in known if len(shapes[field]) == 1]
             raise DatasetError(
                 f"{samples}: torch(): {name} has several shapes, which make no batch; give "

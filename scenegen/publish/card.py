@@ -18,7 +18,7 @@ from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME, VERSION, pattern_of
 from scenegen.publish import LICENCES
-from scenegen.view.inspect import TITLES
+from scenegen.view.inspect import titles
 
 MAX_LISTED = 50
 """Maximum names of classes in a card."""
@@ -241,7 +241,7 @@ def _statistics(splits: Json) -> str:
     rows = [["", *splits]]
     for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
         rows.append([name, *(str(split[key]) for split in splits.values())])
-    for key, (label, unit) in TITLES.items():
+    for key, (label, unit) in titles(splits).items():
         factor = 100 if unit == "%" else 1
         row = [f"{label}, {unit}".removesuffix(", ")]
         for split in splits.values():

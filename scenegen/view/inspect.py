@@ -310,5 +310,16 @@ TITLES = {
     "tortuosity": ("length of the path out, of that without obstacles", ""),
     "traversability": ("mean way to an obstacle", "robot diameters"),
     "gap": ("mean width of passages", "robot diameters"),
+    "ghosts": ("voxels with a return of some scan, and nothing now", ""),
 }
 """Names and units of the measures, for people; shares are shown in %."""
+
+
+def titles(splits: Json) -> dict[str, tuple[str, str]]:
+    """Return the `TITLES` of the measures that some split has; see `inspect`."""
+    measured = [split["statistics"] for split in splits.values()]
+    return {
+        key: title
+        for key, title in TITLES.items()
+        if any(statistics[key]["mean"] is not None for statistics in measured)
+    }

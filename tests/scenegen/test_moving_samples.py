@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.draw.draw import truth_of
+from scenegen.view.inspect import inspect
 from scenegen.worlds.recipe import read_recipe
 from scenegen.worlds.traffic import PRESETS, Traffic
 from tests.command_line import done
@@ -102,6 +103,21 @@ def moved(movers, m, point, begin_s, time_s):
     return next_place + next_turn @ (turn.T @ (point - place))
 
 
+def test_voxels_that_movers_pass(units):
+    """Those of all movers but one that stands now and then."""
+    _, found = units
+    for sample in (sample for unit in found for sample in movers_seen(unit)):
+        motion, now_s = sample.motion, float(sample.scan_times[0])
+        passed = np.zeros(sample.occupancy.shape, bool)
+        poses = [motion.movers.poses(now_s + after_s) for after_s in (0.0, 1.0)]
+        for m in range(len(motion.movers)):
+            first, second = ([values[m] for values in pose] for pose in poses)
+            if np.any(first[2]) or first[3] or not all(map(np.array_equal, first[:2], second)):
+                passed |= (sample.voxel_mover == m) | (motion.voxels(1.0) == m)
+        assert_array_equal(motion.passed(1.0), passed)
+        assert_array_equal(motion.passed(0.0), motion.moving)
+
+
 def test_times_beyond_the_table_are_refused(units):
     _, found = units
     refuses("later", found[0].samples[0].motion.occupancy, 2.5)
@@ -125,6 +141,29 @@ def test_with_firing_times_and_noise_it_passes_too(tmp_path):
     traffic = dataclasses.replace(CROWD, firing_times=True)
     recipe = moving_recipe(traffic, noise={"stages": "range:0.02"})
     assert failed(dataset_in(tmp_path / "d", recipe).folder) == {}
+
+
+def test_loaders_get_fields_over_time(made):
+    torch = pytest.importorskip("torch")
+    samples = scenegen.load(made)
+    fields = ["observed", "occupancy+0.5", "tudf+2", "flow", "moving"]
+    (batch,) = torch.utils.data.DataLoader(samples.torch(fields), batch_size=len(samples))
+    assert list(batch) == fields
+    for n, sample in enumerate(samples):
+        motion = sample.motion
+        expected = (motion.occupancy(0.5), motion.tudf(2.0), motion.flow(), motion.moving)
+        for name, values in zip(fields[1:], expected, strict=True):
+            assert_array_equal(batch[name][n], values)
+    refuses("later than is stored", samples.torch, ["occupancy+2.5"])
+    plain = scenegen.stream(small_recipe(), samples=2)
+    refuses("no movers", plain.torch, "moving")
+
+
+def test_inspect_counts_ghosts(made):
+    split = scenegen.load(made).dataset.split("train")
+    counts = [(sample.observed & ~sample.occupancy).sum() for sample in split]
+    statistics = inspect(split.dataset)["splits"]["train"]["statistics"]
+    assert statistics["ghosts"]["mean"] == pytest.approx(np.mean(counts))
 
 
 CHANGES = {

@@ -36,7 +36,7 @@ difficulty = "hard"
 weight = 1
 """
 SHARES = {"occupied": "occupancy", "observed": "observed", "free": "free"}
-KEYS = {*SHARES, "unknown", "returned", "range_m", "tudf_m", *Difficulty._fields}
+SHOWN = {*SHARES, "unknown", "returned", "range_m", "tudf_m", *Difficulty._fields}
 
 
 def fields(folder, split):
@@ -57,7 +57,8 @@ def check(statistics, stored, chosen):
         row["tudf_m"] = sample["tudf"].mean(dtype=np.float64)
         row |= difficulty(sample["occupancy"].astype(bool), sample["tudf"], 0.2)._asdict()
         rows.append(row)
-    assert set(statistics) == KEYS
+    assert set(statistics) == {*SHOWN, "ghosts"}
+    assert set(statistics.pop("ghosts").values()) == {None}
     for key, figures in statistics.items():
         values = np.array([row[key] for row in rows])
         values = values[~np.isnan(values)]
@@ -114,7 +115,7 @@ def test_figures_and_samples_are_reported_by_kind(tmp_path, capsys):
             mean = report["statistics"]["tudf_m"]["mean"]
             assert mean == pytest.approx(np.mean([look.tudf for look in members]))
     details = done(capsys, f"inspect {tmp_path}/d --details")
-    assert {line.split(" ")[0] for line in details.splitlines()} >= KEYS
+    assert {line.split(" ")[0] for line in details.splitlines()} >= SHOWN
     assert "\ntrain: means of each kind, shares in %\n" in details
 
 
