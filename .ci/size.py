@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_000, "benchmarks": 33_000, "tests": 206_600}
-FILES = 222
+TOKENS = {"product": 312_500, "benchmarks": 33_000, "tests": 216_500}
+FILES = 228
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what
 explains code costs nothing."""
