@@ -193,8 +193,8 @@ QUICK = {"samples": 50, "trials": 200}
     "names",
     type=Named(METHODS),
     multiple=True,
-    help=f"A row: {', '.join(METHODS.builtin)}, or MODULE:CLASS; repeatable.  [default: all of "
-    f"these but seen]",
+    help=f"A row: {', '.join(METHODS.builtin)}, or MODULE:CLASS; repeatable.  [default: "
+    f"{', '.join(USUAL)}]",
 )
 @click.option(
     "--weights",
@@ -256,7 +256,7 @@ def bench(
     \f
     Args:
         datasets: Datasets; empty for all in data/.
-        names: Names of methods; empty for all but `seen`.
+        names: Names of methods; empty for `USUAL`.
         weights: Names of networks, or NAME=WEIGHTS.
         predictions: A file or folder of predictions, or None.
         out: Folder of the report.
