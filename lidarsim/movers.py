@@ -7,9 +7,10 @@ processor. A ray is taken to the mover's frame at the ray's time, and met there 
 of `lidarsim.engines.forms`: no time is divided into slices."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -106,20 +107,22 @@ class Movers:
             geom=self.owner,
         )
 
-    def distance_m(self, point: Floats, time_s: float, lasting_s: float = 0.0) -> float:
-        """Bound from below how near movers come to a point.
+    def distances_m(self, points: Floats, time_s: float, lasting_s: float = 0.0) -> Floats:
+        """Bound from below how near movers come to points.
 
         Args:
-            point: (3,), metres.
+            points: (n, 3), metres.
             time_s: The time, seconds.
             lasting_s: For how long after it, seconds.
 
         Returns:
-            Metres to the nearest ball that holds a mover; inf without movers.
+            Metres (n,) to the nearest ball that holds a mover; inf without movers.
         """
-        balls = self._balls_while(time_s, time_s + lasting_s)
-        away = np.sqrt(((balls[:, :3] - point) ** 2).sum(axis=1)) - np.sqrt(balls[:, 3])
-        return float(away.min(initial=math.inf))
+        nearest = np.full(len(points), np.inf)
+        for x, y, z, radius2 in self._balls_while(time_s, time_s + lasting_s):
+            away = np.sqrt(((points - (x, y, z)) ** 2).sum(axis=1)) - math.sqrt(radius2)
+            nearest = np.minimum(nearest, away)
+        return nearest
 
     def window(self, begin_s: float, end_s: float) -> "Movers":
         """Cut the courses to an interval of time from 0 on. Within it, poses have the same bits.
@@ -235,7 +238,8 @@ class Movers:
             (0.0, 2.0), lengths[:, None] * self.course[:, :3, 2]
         )
         speeds = np.sqrt((slopes * slopes).sum(axis=2)).max(axis=0)
-        return np.maximum.reduceat(speeds, self.piece_start[:-1])
+        first = self.piece_start[:-1]
+        return np.maximum.reduceat(speeds, first) if len(first) else np.empty(0)
 
     @cached_property
     def _radius(self) -> Floats:
@@ -305,27 +309,25 @@ class MovingCaster:
         ranges = self._standing.cast(origins, directions, max_range_m)
         return self._meet(origins, directions, max_range_m, ranges)[0]
 
-    def hits(
+    @property
+    def hits(self) -> Callable[..., Hits]:
+        """The method `hits` of the world with movers, see `AnalyticEngine.hits`.
+
+        Raises:
+            AttributeError: If the caster of the standing world has none.
+        """
+        return partial(self._hits, self._standing.hits)  # type: ignore[attr-defined]
+
+    def _hits(
         self,
+        hits_standing: Callable[..., Hits],
         origins: ArrayLike,
         directions: ArrayLike,
         max_range_m: float,
         *,
         through: ArrayLike | None = None,
     ) -> Hits:
-        """Cast rays, and describe the surfaces that they met; see `AnalyticEngine.hits`.
-
-        Args:
-            origins: As for `cast`.
-            directions: As for `cast`.
-            max_range_m: As for `cast`.
-            through: As for the standing world's `hits`.
-
-        Returns:
-            Range, geom, point and normal of every ray.
-        """
-        engine: Any = self._standing
-        standing = engine.hits(origins, directions, max_range_m, through=through)
+        standing = hits_standing(origins, directions, max_range_m, through=through)
         ranges, solid, query = self._meet(origins, directions, max_range_m, standing.ranges)
         flat = query[1].shape[:2]
         surfaces = self._movers.surfaces(*query, ranges.reshape(flat), solid.reshape(flat))

@@ -234,6 +234,7 @@ def recipe_text(recipe: RecipeEntry, title: str) -> str:
         "noise": {"stages": recipe.noise.stages} if recipe.noise else None,
         "mapping": recipe.mapping,
         "known": recipe.known,
+        "movers": recipe.parts.get("movers"),
         "grid": recipe.grid,
     }
     for name, values in tables.items():

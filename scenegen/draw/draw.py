@@ -191,6 +191,8 @@ def caster_at(world: AnyWorld, engine: EngineFactory, recipe: Recipe, time_s: fl
     """
     if recipe.traffic is None or isinstance(world, Place):
         return world.caster(engine)
+    if world.movers is None:
+        raise GenerationError("the world's document has no movers; verify the dataset")
     return world.caster_at(engine, ray_times(recipe.traffic, recipe.lidar, time_s))
 
 
@@ -293,7 +295,7 @@ def _look(
         return "rays_unknown"
     if isinstance(world, World) and world.movers is not None:
         room_m = recipe.flight.robot_radius_m
-        if world.movers.distance_m(pose.position, time_s, recipe.scan_s) < room_m:
+        if world.movers.distances_m(pose.position[None], time_s, recipe.scan_s)[0] < room_m:
             return "mover_near"
     (scan,) = scans_from([pose], [time_s], world, engine, recipe)
     returned = np.count_nonzero(np.isfinite(scan.ranges))

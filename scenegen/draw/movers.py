@@ -14,8 +14,9 @@ from lidarsim import AnalyticEngine, GridSpec
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, MovingCaster
 from lidarsim.pose import rotate
-from scenegen.base.errors import GenerationError, MissingPartError
+from scenegen.base.errors import DatasetError, GenerationError, MissingPartError
 from scenegen.truth import distance_field, rasterize
+from scenegen.worlds.movers import fault_of
 from scenegen.worlds.traffic import MAX_MOVERS, MAX_PIECES, MAX_SOLIDS, Traffic
 
 NO_SHAPE = -1.0
@@ -86,7 +87,7 @@ def mover_fields(
     )
     directions = rotate(fields["quaternion"], lidar.directions_body)
     solid = caster.solid_of(fields["position"][None], directions[None], lidar.max_range_m)[0]
-    hit = np.where(solid >= 0, movers.owner[solid], -1).astype(np.int8)
+    hit = np.append(movers.owner, -1)[solid].astype(np.int8)
     # the clean ray counts: noise changes ranges, and may lose a return
     hit[~np.isfinite(fields["ranges"])] = -1
     return {
@@ -110,8 +111,9 @@ def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
         first, last = part.piece_start[m : m + 2]
         if last - first > MAX_PIECES:
             raise GenerationError(
-                f"movers.after_s: a course has {last - first} pieces in {end_s - begin_s:g} s, and "
-                f"a sample stores {MAX_PIECES}; lower it"
+                f"a mover's course has {last - first} pieces from the earliest scan to "
+                f"movers.after_s = {end_s - begin_s:g} s later, and a sample stores {MAX_PIECES}; "
+                "lower after_s or the number of scans, or raise sensor_mps"
             )
         course[m, : last - first, 0] = part.begin_s[first:last]
         course[m, : last - first, 1:] = part.course[first:last].reshape(last - first, -1)
@@ -129,6 +131,7 @@ def stored_movers(sample: Any) -> Movers:
 
     Raises:
         MissingPartError: if the sample has none.
+        DatasetError: if they are damaged.
     """
     if sample.mover_kind is None:
         raise MissingPartError("this sample has no movers; generate the dataset with --movers")
@@ -137,7 +140,7 @@ def stored_movers(sample: Any) -> Movers:
     present, pieces = solids[:, :, 0] != NO_SHAPE, np.isfinite(course[:, :, 0])
     rows = solids[present]
     starts = np.concatenate([[0], np.cumsum(pieces.sum(axis=1))])
-    return Movers(
+    movers = Movers(
         kind=sample.mover_kind[:count].astype(np.int64),
         owner=np.nonzero(present)[0],
         shape=rows[:, 0].astype(np.int64),
@@ -147,6 +150,13 @@ def stored_movers(sample: Any) -> Movers:
         begin_s=course[:, :, 0][pieces],
         course=course[pieces][:, 1:].reshape(-1, CHANNELS, COEFFICIENTS),
     )
+    fault = fault_of(movers)
+    numbers = sample.voxel_mover
+    if not fault and not ((numbers >= -1) & (numbers < count)).all():
+        fault = f"expected voxel_mover from -1 to {count - 1}"
+    if fault:
+        raise DatasetError(f"the sample's movers are damaged: {fault}; verify the dataset")
+    return movers
 
 
 def field_of(sample: Any, name: str) -> Any:

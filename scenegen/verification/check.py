@@ -190,7 +190,10 @@ class Worlds:
         """Compile a world. Raises CorruptFileError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with reraise_as(CorruptFileError, of=SceneError):
-            return archived_world(*self.source(number), name=name)
+            world = archived_world(*self.source(number), name=name)
+        if "movers" in self.task.contract.parts and getattr(world, "movers", None) is None:
+            raise CorruptFileError(f"{name}: has no movers, and the samples do")
+        return world
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +249,10 @@ def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
     ]
 
 
+MAX_TIME_S = 1e6
+"""Latest time of a scan, seconds: no flight lasts so long."""
+
+
 def times_of(contract: Manifest, stored: Callable[[str], Any]) -> Floats:
     """When the scans of a sample began, seconds, in the order of `scans_of`.
 
@@ -254,7 +261,10 @@ def times_of(contract: Manifest, stored: Callable[[str], Any]) -> Floats:
         stored: Returns a stored field by its name.
     """
     if "movers" in contract.parts:
-        return np.asarray(stored("scan_times"), np.float64)
+        times_s = np.asarray(stored("scan_times"), np.float64)
+        if not ((times_s >= 0) & (times_s <= MAX_TIME_S)).all():
+            raise CorruptFileError(f"scan_times: expected 0 to {MAX_TIME_S:g} s")
+        return times_s
     return np.zeros(contract.mapping.scans)
 
 

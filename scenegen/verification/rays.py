@@ -22,6 +22,8 @@ MAX_CROSSINGS = 200_000
 """Maximum number of crossings along one axis that are computed at once."""
 TOLERANCE_M = 1e-6
 """Tolerance of a stored range, metres. One part in 2^23, the resolution of float32, is added."""
+MAX_TIMES = 32
+"""Maximum number of times of which the rays of a scan are audited."""
 MAX_PAIRS = 2_000_000_000
 """Maximum number of ray-solid pairs of a sample. Beyond it, a random part of the rays is audited.
 """
@@ -229,6 +231,7 @@ def audit(
     *,
     solids: int,
     rng: np.random.Generator,
+    times_s: Floats | None = None,
 ) -> tuple[Ints, Floats, Floats]:
     """Cast the rays of a sample again.
 
@@ -240,6 +243,8 @@ def audit(
         lidar: The sensor.
         solids: Number of solids of the world, which limits the number of rays.
         rng: Chooses the rays if not all are cast.
+        times_s: When each ray is cast (*lidar.shape), seconds, in a world with movers. Rays of
+            `MAX_TIMES` of these times are cast, as each takes a world of its own.
 
     Returns:
         Ray numbers in C order (n,); new ranges (n,), metres, inf for no hit; their distances from
@@ -247,6 +252,9 @@ def audit(
     """
     directions = ray_directions(lidar, quaternion).reshape(-1, 3)
     chosen = np.arange(len(directions))
+    if times_s is not None and len(times := np.unique(times_s)) > MAX_TIMES:
+        some = rng.choice(times, MAX_TIMES, replace=False)
+        chosen = np.flatnonzero(np.isin(times_s.reshape(-1), some))
     max_rays = max(MAX_PAIRS // max(solids, 1), 100)
     if len(chosen) > max_rays:
         chosen = np.sort(rng.choice(chosen, max_rays, replace=False))

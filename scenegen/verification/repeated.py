@@ -9,7 +9,7 @@ import numpy as np
 
 from lidarsim import Scan
 from lidarsim.engines import ENGINES, Caster
-from lidarsim.grid import Ints
+from lidarsim.grid import Floats, Ints
 from lidarsim.noise import VERSION
 from scenegen import GENERATOR
 from scenegen.base.errors import (
@@ -130,14 +130,19 @@ def _cast_again(sample: Sample, page: Page) -> None:
         scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
+        begin_s = float(sample.times_s[number])
+        times_s = np.broadcast_to(
+            ray_times(sample.contract.recipe.traffic, lidar, begin_s), lidar.shape
+        )
         rays, ranges_again, gap = audit(
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
-            partial(_auditor, sample, world, number),
+            partial(_auditor, sample, world, times_s),
             lidar,
             solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
+            times_s=times_s,
         )
         wrong = disagrees(gap, ranges_again, lidar.max_range_m)
         page.count(rays=len(rays))
@@ -154,12 +159,9 @@ def _cast_again(sample: Sample, page: Page) -> None:
             )
 
 
-def _auditor(sample: Sample, world: AnyWorld, number: int, rays: Ints) -> Caster:
-    """Auditor of rays (n,) of a sample's scan."""
-    begin_s, lidar = sample.times_s[number], sample.contract.lidar
-    traffic = sample.contract.recipe.traffic
-    times_s = np.broadcast_to(ray_times(traffic, lidar, begin_s), lidar.shape).reshape(-1)
-    return auditor(world, sample.contract.engine, times_s[rays])
+def _auditor(sample: Sample, world: AnyWorld, times_s: Floats, rays: Ints) -> Caster:
+    """Auditor of rays (n,) of a scan whose rays have times (*lidar.shape)."""
+    return auditor(world, sample.contract.engine, times_s.reshape(-1)[rays])
 
 
 def _effort(world: AnyWorld, max_range_m: float) -> int:

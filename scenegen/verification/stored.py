@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
 from lidarsim.engines.voxels import VoxelMap
-from scenegen.base.errors import CorruptFileError, reraise_as
+from lidarsim.movers import Movers
+from scenegen.base.errors import CorruptFileError, DatasetError, GenerationError, reraise_as
 from scenegen.base.reading import sha256_of
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import NAME
@@ -20,7 +21,7 @@ from scenegen.draw.movers import mover_voxels, stored_movers
 from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
-from scenegen.verification.check import Check, Sample
+from scenegen.verification.check import Check, Sample, times_of
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
@@ -131,15 +132,18 @@ def _lawful(sample: Sample, page: Page) -> None:
     noise = sample.contract.noise
     if noise is None:
         # without noise, every return lies on a solid
-        stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()
+        stray = int(np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum())
         if "movers" in sample.contract.parts:
-            stray = _off_movers(sample)
+            stray = _strays_in_time(sample, None)
         page.expect(not stray, f"{sample.where}: {stray} observed voxels are not occupied")
     # unbounded noise may put returns anywhere
     elif noise.bound_m is not None:
         fields, grid, bound = sample.fields, sample.contract.grid, noise.bound_m
-        points = np.concatenate([scan.points() for scan in sample.scans])
-        stray = count_strays(points, fields["occupancy"], grid, fields["origin"], bound)
+        if "movers" in sample.contract.parts:
+            stray = _strays_in_time(sample, bound)
+        else:
+            points = np.concatenate([scan.points() for scan in sample.scans])
+            stray = count_strays(points, fields["occupancy"], grid, fields["origin"], bound)
         page.expect(
             not stray,
             f"{sample.where}: {stray} returns lie more than {bound:g} m from what is occupied",
@@ -152,27 +156,31 @@ def _lawful(sample: Sample, page: Page) -> None:
         )
 
 
-def _off_movers(sample: Sample) -> int:
-    """Count voxels with a return of a scan where nothing was when that scan began; returns from
-    movers do not count if rays have times of their own."""
-    contract, stray, traffic = sample.contract, 0, sample.contract.recipe.traffic
-    assert traffic is not None
-    grid, origin = contract.grid, sample.fields["origin"]
-    movers = stored_movers(SimpleNamespace(**sample.fields))
-    for scan, time_s in zip(sample.scans, sample.times_s, strict=True):
+def _movers_of(sample: Sample) -> Movers:
+    """Movers of a sample's tables. Raises CorruptFileError if they are damaged."""
+    with reraise_as(CorruptFileError, f"{sample.where}: ", of=DatasetError):
+        return stored_movers(SimpleNamespace(**sample.fields))
+
+
+def _strays_in_time(sample: Sample, bound_m: float | None) -> int:
+    """Count returns of each scan where nothing was when that scan began: voxels of clean returns,
+    or returns that are farther than `bound_m` from what was occupied.
+
+    If rays have times of their own, returns near movers are not judged here."""
+    contract, fields, stray = sample.contract, sample.fields, 0
+    recipe, grid, origin = contract.recipe, contract.grid, fields["origin"]
+    movers = _movers_of(sample)
+    for scan, time_s in zip(sample.scans, sample.times_s.tolist(), strict=True):
         points = scan.points()
-        if traffic.firing_times:
-            # movers within the scan's time; what they may have met is not judged here
-            hit = np.isfinite(scan.ranges)
-            rays = np.array(
-                [movers.distance_m(point, time_s, contract.recipe.scan_s) for point in points]
-            )
-            points = points[rays > 0] if hit.any() else points
+        if recipe.scan_s:
+            away = movers.distances_m(points, time_s, recipe.scan_s)
+            points = points[away > (bound_m or 0.0)]
+        there = fields["static_occupancy"] | (mover_voxels(movers, grid, origin, time_s) >= 0)
+        if bound_m is not None:
+            stray += count_strays(points, there, grid, origin, bound_m)
+            continue
         index = grid.index(points, origin)
         index = index[((index >= 0) & (index < grid.shape)).all(axis=1)]
-        there = sample.fields["static_occupancy"] | (
-            mover_voxels(movers, grid, origin, float(time_s)) >= 0
-        )
         seen = np.zeros(grid.shape, bool)
         seen[tuple(index.T)] = True
         stray += int(np.count_nonzero(seen & ~there))
@@ -231,7 +239,7 @@ def _occupancy(sample: Sample, page: Page) -> None:
     if "movers" in sample.contract.parts:
         _expect_equal(sample, "static_occupancy", again, f"world {sample.world}", page)
         # movers, from the sample's own tables, are what is occupied beside
-        movers = stored_movers(SimpleNamespace(**sample.fields))
+        movers = _movers_of(sample)
         again = again | rasterize(movers.solids(float(sample.times_s[0])), grid, origin)
         mover = mover_voxels(movers, grid, origin, float(sample.times_s[0]))
         _expect_equal(sample, "voxel_mover", mover, "its movers", page)
@@ -259,8 +267,10 @@ def _parts_again(sample: Sample, page: Page) -> None:
             f"{sample.where}: has {' and '.join(contract.parts)}, and its world is a map, which "
             f"has none"
         )
+    times_of(contract, sample.fields.__getitem__)  # refuses times that nothing can be computed at
     for name, settings in contract.parts.items():
-        again = PARTS[name].compute(sample.fields, world, contract.recipe, settings)
+        with reraise_as(CorruptFileError, f"{sample.where}: ", of=GenerationError):
+            again = PARTS[name].compute(sample.fields, world, contract.recipe, settings)
         for field, values in again.items():
             _expect_equal(sample, field, values, f"world {sample.world}", page)
 

@@ -132,13 +132,14 @@ def from_stop_to_stop(
     return _repeated(writer, points[0], headings[-1])
 
 
-def without_stop(points: Floats, speed: float, acceleration: float) -> Course | None:
+def without_stop(points: Floats, speed: float, acceleration: float, rate: float) -> Course | None:
     """Make a course round a loop at nearly constant speed, whose corners are parabolas.
 
     Args:
         points: (n, 3): corners of the loop at one height, metres.
         speed: Greatest speed, metres a second.
         acceleration: Greatest acceleration, m/s².
+        rate: See `Traffic.turn_rad_s`.
 
     Returns:
         The course; None if no whole number of rounds takes `PERIOD_S`, or corners are too sharp.
@@ -155,14 +156,18 @@ def without_stop(points: Floats, speed: float, acceleration: float) -> Course | 
     ticks[-1] = total - ticks[:-1].sum()
     velocity = legs / (ticks * TICK_S)[:, None]
     change = velocity - np.roll(velocity, 1, axis=0)
-    # even, so that half of a corner is a whole number of ticks
-    corner = 2 * np.ceil(np.sqrt((change * change).sum(axis=1)) / acceleration / TICK_S / 2).astype(
-        int
+    headings = velocity[:, :2] / np.sqrt((velocity[:, :2] ** 2).sum(axis=1))[:, None]
+    chord = headings - np.roll(headings, 1, axis=0)
+    # time to change the velocity, and to turn: see `_turn`
+    seconds = np.maximum(
+        np.sqrt((change * change).sum(axis=1)) / acceleration,
+        1.12 * np.sqrt((chord * chord).sum(axis=1)) / rate,
     )
+    # even, so that half of a corner is a whole number of ticks
+    corner = 2 * np.ceil(seconds / TICK_S / 2).astype(int)
     corner = np.maximum(corner, 2)
     if (corner / 2 + np.roll(corner, -1) / 2 > ticks).any():
         return None
-    headings = velocity[:, :2] / np.sqrt((velocity[:, :2] ** 2).sum(axis=1))[:, None]
     # a corner of more than a right angle would need two pieces
     if ((headings * np.roll(headings, 1, axis=0)).sum(axis=1) < 0).any():
         return None
@@ -172,12 +177,11 @@ def without_stop(points: Floats, speed: float, acceleration: float) -> Course | 
             after = n + 1 if n + 1 < len(points) else 0
             half = corner[n] // 2
             # from the middle of the corner before to the middle of this leg's end
-            seconds, first = corner[n] * TICK_S, points[n] - velocity[n - 1] * (half * TICK_S)
-            chord = headings[n] - headings[n - 1]
-            smooth = np.array([0.0, 0.0, 3.0 / seconds**2, -2.0 / seconds**3])
-            heading = chord[:, None] * smooth
+            lasting, first = corner[n] * TICK_S, points[n] - velocity[n - 1] * (half * TICK_S)
+            smooth = np.array([0.0, 0.0, 3.0 / lasting**2, -2.0 / lasting**3])
+            heading = chord[n][:, None] * smooth
             heading[:, 0] = headings[n - 1]
-            writer.add(int(corner[n]), first, heading, velocity[n - 1], change[n] / (2.0 * seconds))
+            writer.add(int(corner[n]), first, heading, velocity[n - 1], change[n] / (2.0 * lasting))
             straight = int(ticks[n] - half - corner[after] // 2)
             writer.add(
                 straight, points[n] + velocity[n] * (half * TICK_S), headings[n], velocity[n]

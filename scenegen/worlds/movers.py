@@ -36,6 +36,8 @@ ENDS = 12
 LEGS = 8
 """Most legs of a course."""
 LEAST_LEG_M, MOST_LEG_M = 1.5, 15.0
+STEP_DOWN_M = 0.4
+"""Most air below a mover that walks or drives, beside what its balls need, metres."""
 REACH_M = 50.0
 """How far below a place the ground is looked for, metres."""
 TEXT = "movers"
@@ -236,10 +238,10 @@ class _Tour:
         acceleration = getattr(traffic, f"{kind}_mps2")
         behaviour = BEHAVIOURS[int(self.rng.integers(len(BEHAVIOURS)))]
         points = behaviour(self)
-        if points is None:
+        if points is None or (kind != "drone" and self._leaves_the_ground(points)):
             return None
         if behaviour is _Tour.loop:
-            return without_stop(points, speed, acceleration)
+            return without_stop(points, speed, acceleration, traffic.turn_rad_s)
         # who stops and goes waits; others turn at once
         most_s = 4.0 if behaviour is _Tour.stops else 0.5
         waits = self.rng.uniform(0.0, most_s, len(points)).tolist()
@@ -319,6 +321,13 @@ class _Tour:
             return points
         above = self._above_ground(points)
         return np.column_stack([points[:, :2], np.full(len(points), above[:, 2].max())])
+
+    def _leaves_the_ground(self, points: Floats) -> bool:
+        """Whether the ground falls by more than `STEP_DOWN_M` below some place of a tour (n, 3)."""
+        shares = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None, None]
+        along = points + shares * (np.roll(points, -1, axis=0) - points)
+        places = along.reshape(-1, 3)
+        return bool((places[:, 2] - self._above_ground(places)[:, 2] > STEP_DOWN_M).any())
 
     def _above_ground(self, points: Floats) -> Floats:
         """Set each of some places (n, 3) to a height above the ground below it."""
@@ -469,7 +478,7 @@ def read_text(text: str) -> Movers:
         raise ValueError(
             f"<text name={TEXT!r}>: is no table of movers; generate the dataset anew"
         ) from None
-    fault = _fault(movers)
+    fault = fault_of(movers)
     if period_s != PERIOD_S or fault:
         raise ValueError(f"<text name={TEXT!r}>: {fault or f'period_s is not {PERIOD_S:g}'}")
     return movers
@@ -483,20 +492,31 @@ def _read_entry(entry: Any) -> tuple[Body, Course]:
     return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), Course(begin_s, pieces)
 
 
-def _fault(movers: Movers) -> str:
-    """What keeps kernels from using movers; "" for nothing."""
+def fault_of(movers: Movers) -> str:
+    """Tell what keeps kernels from using a table of movers that somebody else wrote.
+
+    Returns:
+        What was expected; "" if nothing is wrong.
+    """
     numbers = (movers.size, movers.offset, movers.begin_s, movers.course)
-    if len(movers) > MAX_MOVERS or not all(
-        (np.abs(values) <= MAX_LENGTH_M).all() for values in numbers
-    ):
+    # False for NaN, too
+    finite = all((np.abs(values) <= MAX_LENGTH_M).all() for values in numbers)
+    if len(movers) > MAX_MOVERS or not finite:
         return f"expected {MAX_MOVERS} movers at most, and finite numbers up to {MAX_LENGTH_M:g}"
     solids = np.bincount(movers.owner, minlength=len(movers))
     pieces = np.diff(movers.piece_start)
-    shapes = np.isin(movers.shape, SHAPES).all() and (movers.size >= 0).all()
+    # a capsule has two sizes, the other shapes three
+    sized = (movers.size > 0) | ((movers.shape == CAPSULE)[:, None] & (np.arange(3) == 2))
+    shapes = np.isin(movers.shape, SHAPES).all() and sized.all()
     if not shapes or (solids < 1).any() or (solids > MAX_SOLIDS).any() or (pieces < 1).any():
         return f"expected 1 to {MAX_SOLIDS} boxes, capsules or ellipsoids and a course for each"
+    if not np.isin(movers.kind, np.arange(1, len(KINDS) + 1)).all():
+        return f"expected kinds from 1 to {len(KINDS)}"
     rising = np.diff(movers.begin_s) > 0
     rising[movers.piece_start[1:-1] - 1] = True
-    if not rising.all() or (movers.begin_s[movers.piece_start[:-1]] != 0).any():
-        return "expected pieces that begin at 0 and rise"
+    starts = movers.begin_s[movers.piece_start[:-1]]
+    if not rising.all() or (math.isfinite(movers.period_s) and starts.any()):
+        return "expected pieces that rise, from 0 on where they repeat"
+    if not movers.course[:, 3:].any(axis=(1, 2)).all():
+        return "expected headings of a length above 0"
     return ""

@@ -158,6 +158,11 @@ class Recipe:
             raise ValueError("[movers]: worlds from files have none; generate a kind of worlds")
         if "labels" in self.parts:
             raise ValueError("[movers]: have no labels; leave labels out, and see voxel_mover")
+        if traffic.firing_times and not self.scan_s:
+            raise ValueError(
+                "[movers] firing_times: this sensor's rays have no times of their own; give "
+                "another --lidar, or leave firing_times out"
+            )
         if traffic.firing_times and any(isinstance(stage, Motion) for stage in self.noise.stages):
             raise ValueError(
                 "[movers] firing_times: do not go with the noise motion; leave one of the two out"

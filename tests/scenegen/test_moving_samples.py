@@ -1,15 +1,17 @@
 """Samples with movers: truth over time, what the checks find, and what does not change."""
 
 import dataclasses
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
+from scenegen.base.errors import DatasetError
 from scenegen.draw.draw import truth_of
-from scenegen.view.inspect import inspect
 from scenegen.worlds.recipe import read_recipe
+from scenegen.worlds.tables import named_lidar
 from scenegen.worlds.traffic import PRESETS, Traffic
 from tests.command_line import done
 from tests.conftest import dataset_in, small_recipe
@@ -130,40 +132,69 @@ def test_a_sample_without_movers_says_so():
 @pytest.fixture(scope="module")
 def made(once):
     recipe = moving_recipe(mapping={"scans": 3})
-    return once("moving", lambda folder: dataset_in(folder / "d", recipe)) / "d"
+    return once("moving_samples", lambda folder: dataset_in(folder / "d", recipe)) / "d"
 
 
 def test_a_dataset_with_movers_passes_every_check(made):
     assert failed(made) == {}
 
 
-def test_with_firing_times_and_noise_it_passes_too(tmp_path):
-    traffic = dataclasses.replace(CROWD, firing_times=True)
-    recipe = moving_recipe(traffic, noise={"stages": "range:0.02"})
+@pytest.mark.parametrize("scans", [1, 3])
+@pytest.mark.parametrize("firing", [True, False])
+def test_with_firing_times_noise_and_scans_it_passes_too(tmp_path, scans, firing):
+    traffic = dataclasses.replace(CROWD, firing_times=firing, drone_mps=(8.0, 12.0))
+    recipe = moving_recipe(noise={"stages": "range:0.02"}, mapping={"scans": scans})
+    parts = {"movers": traffic}
+    recipe = dataclasses.replace(recipe, lidar=named_lidar("velodyne-vlp-16"), parts=parts)
     assert failed(dataset_in(tmp_path / "d", recipe).folder) == {}
 
 
-def test_loaders_get_fields_over_time(made):
-    torch = pytest.importorskip("torch")
-    samples = scenegen.load(made)
-    fields = ["observed", "occupancy+0.5", "tudf+2", "flow", "moving"]
-    (batch,) = torch.utils.data.DataLoader(samples.torch(fields), batch_size=len(samples))
-    assert list(batch) == fields
-    for n, sample in enumerate(samples):
-        motion = sample.motion
-        expected = (motion.occupancy(0.5), motion.tudf(2.0), motion.flow(), motion.moving)
-        for name, values in zip(fields[1:], expected, strict=True):
-            assert_array_equal(batch[name][n], values)
-    refuses("later than is stored", samples.torch, ["occupancy+2.5"])
-    plain = scenegen.stream(small_recipe(), samples=2)
-    refuses("no movers", plain.torch, "moving")
+def test_worlds_that_draw_no_mover_give_samples():
+    nobody = Traffic(people=(0, 0), vehicles=(0, 0), drones=(0, 0))
+    (sample, *_) = drawn_unit(moving_recipe(nobody), seed=1).samples
+    assert not sample.motion.flow().any()
+    assert_array_equal(sample.motion.occupancy(1.0), sample.occupancy)
 
 
-def test_inspect_counts_ghosts(made):
-    split = scenegen.load(made).dataset.split("train")
-    counts = [(sample.observed & ~sample.occupancy).sum() for sample in split]
-    statistics = inspect(split.dataset)["splits"]["train"]["statistics"]
-    assert statistics["ghosts"]["mean"] == pytest.approx(np.mean(counts))
+def test_an_engine_without_surfaces_says_so(tmp_path, capsys):
+    words = "generate --kind pillar --movers light --engine mujoco --lidar ouster-os1-64"
+    refuses_command(capsys, f"{words} --noise datasheet --n 1 --quiet -o {tmp_path}/d")
+
+
+HOSTILE = {
+    "a mover without pieces": ("mover_course", np.nan),
+    "sizes that are not numbers": ("mover_solids", np.nan),
+    "a mover beyond the table": ("voxel_mover", 127),
+    "no movers": ("mover_kind", 0),
+    "an unknown kind": ("mover_kind", 9),
+    "times that are not numbers": ("scan_times", np.nan),
+    "times beyond all flights": ("scan_times", 1e300),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_tables_are_found_and_harm_nobody(made, tmp_path, case):
+    name, value = HOSTILE[case]
+    folder = forge.copy(made, tmp_path / "d")
+    forge.edit(folder, "train-00000.h5", lambda arrays: arrays[name].__setitem__(..., value))
+    assert "examining it ended in" not in " ".join(failed(folder).values())
+    for sample in scenegen.load(folder):
+        for act in (lambda s: s.motion.flow(), lambda s: s.motion.occupancy(0.5)):
+            with suppress(DatasetError):
+                act(sample)
+
+
+def test_archives_without_movers_are_named(made, tmp_path, capsys):
+    folder = forge.copy(made, tmp_path / "d")
+
+    def without_text(members):
+        for name, mjcf in members.items():
+            members[name] = mjcf.split(b"<custom><text")[0] + b"</mujoco>"
+
+    for archive in folder.glob("*.worlds.zip"):
+        forge.rezip(archive, without_text)
+    assert failed(folder)
+    refuses_command(capsys, f"generate --like {folder} --noise range:0.01 --quiet -o {tmp_path}/e")
 
 
 CHANGES = {

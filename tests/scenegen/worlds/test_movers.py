@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from lidarsim import AnalyticEngine
 from scenegen.draw.source import DrawnWorlds
 from scenegen.truth.shapes import distance
 from scenegen.worlds.courses import TICK_S, from_stop_to_stop, without_stop
@@ -51,6 +52,23 @@ def test_speeds_and_accelerations_keep_their_bounds(world):
         assert np.linalg.norm(velocity[:, m], axis=1).max() <= speed * (1 + 1e-9)
         change = np.diff(velocity[:, m], axis=0) / step_s
         assert np.linalg.norm(change, axis=1).max() <= acceleration * (1 + 1e-6)
+
+
+def test_turns_keep_their_rate(world):
+    times_s = np.arange(0, PERIOD_S, 2.0**-7)
+    _, _, _, turn = motions(world.movers, times_s)
+    assert np.abs(turn).max() <= 2 * PRESETS["light"].turn_rad_s
+
+
+def test_those_on_the_ground_have_ground_below_them(world):
+    movers = world.movers
+    caster, down = world.caster(AnalyticEngine.of), np.array([[[0.0, 0.0, -1.0]]])
+    for time_s in np.linspace(0, PERIOD_S, 60):
+        position, _, _, _ = movers.poses(time_s)
+        for place in position[movers.kind != 3]:
+            depth = caster.cast(place[None] + [[0, 0, 0.1]], down, 10.0)[0, 0]
+            # some kinds have no ground
+            assert depth < 1.0 or (np.isinf(depth) and place[2] < 1.0)
 
 
 def test_courses_have_no_jumps(world):
@@ -129,7 +147,7 @@ SQUARE = np.array([[0.0, 0, 1], [4, 0, 1], [4, 4, 1], [0, 4, 1]])
 
 
 def test_a_loop_runs_at_one_speed_but_for_corners():
-    course = without_stop(SQUARE, 2.0, 1.5)
+    course = without_stop(SQUARE, 2.0, 1.5, 3.0)
     assert course.begin_s[0] == 0
     assert (course.begin_s / TICK_S % 1 == 0).all()
     speeds = np.linalg.norm(course.pieces[:, :3, 1], axis=1)
@@ -139,8 +157,9 @@ def test_a_loop_runs_at_one_speed_but_for_corners():
 @pytest.mark.parametrize(
     "course",
     [
-        lambda: without_stop(SQUARE, 0.1, 1.0),  # slower than a round in a period
-        lambda: without_stop(SQUARE, 4.0, 0.5),  # corners longer than legs
+        lambda: without_stop(SQUARE, 0.1, 1.0, 3.0),  # slower than a round in a period
+        lambda: without_stop(SQUARE, 4.0, 0.5, 3.0),  # corners longer than legs
+        lambda: without_stop(SQUARE, 4.0, 9.0, 0.2),  # turns slower than legs last
         lambda: from_stop_to_stop(SQUARE, 0.2, 1.0, 1.0, [0.0] * 4),
     ],
 )
