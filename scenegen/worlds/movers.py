@@ -1,9 +1,5 @@
 """Movers of a world: drawn, certified not to pass through solids or each other, and written into
-the world's document and read from it.
-
-Courses are made of straight legs and, at the corners of loops, of parabolas: pieces of at most
-second degree in time, see `lidarsim.movers`. Times of pieces are whole multiples of `TICK_S`, so
-that sums of them are exact."""
+the world's document and read from it."""
 
 import json
 import math
