@@ -503,8 +503,16 @@ def ranked(rows: Json, name: str, metric: Metric) -> list[tuple[float, str]]:
 
 
 def best(rows: Json, name: str, metric: Metric) -> set[str]:
-    """Find the methods with the best mean, see `ranked`: several, if their printed means are
-    equal."""
+    """Find the methods with the best mean, see `ranked`.
+
+    Args:
+        rows: Metrics by method.
+        name: Name of the metric.
+        metric: The metric.
+
+    Returns:
+        Names; several, if their printed means are equal.
+    """
     order = ranked(rows, name, metric)
     return {method for worth, method in order if worth == order[0][0]}
 

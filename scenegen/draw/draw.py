@@ -213,7 +213,15 @@ def times_of_scans(time_s: float, recipe: Recipe) -> Floats:
 
 
 def times_of(fields: Any, recipe: Recipe) -> Floats:
-    """When the scans of a sample began, seconds; see `times_of_scans`."""
+    """When the scans of a sample began; see `times_of_scans`.
+
+    Args:
+        fields: The sample.
+        recipe: Gives the number of scans.
+
+    Returns:
+        Seconds, the sample's own scan first; 0 where nothing moves.
+    """
     stored = fields.scan_times
     return np.zeros(recipe.mapping.scans) if stored is None else stored
 

@@ -187,7 +187,11 @@ class Worlds:
 
     @lru_cache(maxsize=1)  # noqa: B019 (consecutive samples share a world)
     def world(self, number: int) -> AnyWorld:
-        """Compile a world. Raises CorruptFileError."""
+        """Compile a world.
+
+        Raises:
+            CorruptFileError: if it cannot be compiled, or has no movers and the samples do.
+        """
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with reraise_as(CorruptFileError, of=SceneError):
             world = archived_world(*self.source(number), name=name)

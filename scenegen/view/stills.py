@@ -110,7 +110,12 @@ class Panel:
         return float((up - down) / (right - left))
 
     def draw(self, axes: Any, width: float) -> None:
-        """Draw it on axes of matplotlib that are so many inches wide."""
+        """Draw it.
+
+        Args:
+            axes: Of matplotlib.
+            width: Their width, inches.
+        """
         limits, (low, high) = self.limits(), (self.low, self.high)
         thin = float(np.clip(width / PANEL, 0.5, 1))
         axes.set(xlim=limits[0], ylim=limits[1], xlabel=printable(self.caption), aspect="equal")

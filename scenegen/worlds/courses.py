@@ -38,8 +38,14 @@ class _Writer:
         self.ticks, self.begins, self.pieces = 0, list[int](), list[Floats]()
 
     def add(self, ticks: int, place: Any, heading: Any, *further: Any) -> None:
-        """Add a piece: its first place (3,), metres, velocity and half its acceleration (3,) each;
-        its heading is constant (2,), or (2, COEFFICIENTS)."""
+        """Add a piece.
+
+        Args:
+            ticks: How long it lasts; nothing is added for 0.
+            place: (3,): where it begins, metres.
+            heading: (2,) if constant, or (2, COEFFICIENTS).
+            further: Velocity, then half the acceleration, (3,) each; 0 if left out.
+        """
         if ticks == 0:
             return
         piece = np.zeros((CHANNELS, COEFFICIENTS))
