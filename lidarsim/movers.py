@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 COEFFICIENTS = 4
 """Of a polynomial in seconds since its piece began: constant, linear, quadratic, cubic."""
-ENDLESS_S = 1e5
-"""How long the last piece of a course without a period may be looked at, seconds."""
 CHANNELS = 5
 """Polynomials of a piece: x, y, z in metres, and the heading's x and y, of any length above 0."""
 
@@ -216,7 +214,10 @@ class Movers:
         """Centre and squared radius (M, 4), metres, of balls that hold all movers from one time to
         another."""
         balls = np.column_stack([self.poses((begin_s + end_s) / 2)[0], self._radius])
-        balls[:, 3] += self._fastest * (end_s - begin_s) / 2
+        if end_s > begin_s:
+            repeats = math.isfinite(self.period_s)
+            fastest = self._fastest_in_period if repeats else self._fastest_until(end_s)
+            balls[:, 3] += fastest * (end_s - begin_s) / 2
         # rounding must not leave out a solid that is touched
         balls[:, 3] = (balls[:, 3] * (1.0 + 1e-6)) ** 2
         return balls
@@ -227,12 +228,15 @@ class Movers:
         return float(self.period_s), self.piece_start, self.begin_s, self.course
 
     @cached_property
-    def _fastest(self) -> Floats:
-        """Greatest speed (M,) of each mover's origin, metres a second."""
-        lengths = np.diff(np.append(self.begin_s, self.begin_s.max(initial=0.0)))
-        # the last piece of a mover lasts until the period ends, or without one for a long time
+    def _fastest_in_period(self) -> Floats:
+        return self._fastest_until(self.period_s)
+
+    def _fastest_until(self, end_s: float) -> Floats:
+        """Greatest speed (M,) of each mover's origin up to a time, metres a second."""
+        lengths = np.diff(np.append(self.begin_s, 0.0))
+        # the last piece of each mover ends then
         last = self.piece_start[1:] - 1
-        lengths[last] = min(self.period_s, ENDLESS_S) - self.begin_s[last]
+        lengths[last] = np.maximum(end_s - self.begin_s[last], 0.0)
         # places have no cubic term, so speeds are greatest at an end of a piece
         slopes = self.course[:, :3, 1] + np.multiply.outer(
             (0.0, 2.0), lengths[:, None] * self.course[:, :3, 2]

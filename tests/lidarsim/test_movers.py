@@ -149,7 +149,9 @@ def test_balls_hold_movers_for_a_while():
         (np.linalg.norm(movers.poses(t)[0] - point, axis=1) - movers._radius).min()
         for t in np.linspace(1.7, 2.9, 2000)
     )
-    assert movers.distances_m(point[None], 1.7, 1.2)[0] <= nearest
+    bound = movers.distances_m(point[None], 1.7, 1.2)[0]
+    # a part of the courses has fewer speeds, so its bound is no looser
+    assert bound <= movers.window(1.0, 3.0).distances_m(point[None], 1.7, 1.2)[0] <= nearest
 
 
 def test_solids_stand_in_their_boxes():
