@@ -2,8 +2,23 @@
 
 FORGETFUL = "returns"
 """Name of the robot that uses only the last scan."""
-MAPPING = (FORGETFUL, "optimistic", "pessimistic", "extrude", "truth")
+FORESEEING = "foreseeing"
+"""Name of the robot that knows where movers are and will be."""
+MAPPING = (
+    FORGETFUL,
+    "optimistic",
+    "pessimistic",
+    "extrude",
+    "forgetting",
+    "predicting",
+    "truth",
+    FORESEEING,
+)
 """Robots that map and plan; see `scenegen.model.robots.flights.robot_maker`."""
+BRAKING = MAPPING[:-2]
+"""Robots that can brake for what they have not seen; a network's can, too."""
+BRAKES = ", brakes"
+"""End of the name of a robot that does."""
 REACTIVE = "reactive"
 """Name of the robot without a map."""
 NAMES = (*MAPPING, REACTIVE)

@@ -14,16 +14,18 @@ from lidarsim.voxelization import sort_points
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.base.files import Json
 from scenegen.dataset.locate import file_sha256
+from scenegen.draw.movers import mover_voxels
 from scenegen.fly import PERIOD_S
 from scenegen.fly.course import Course, Recording, compared, flown_again
 from scenegen.fly.loop import Flown
 from scenegen.fly.motion import POSITION, VELOCITY
-from scenegen.fly.simulation import Observation, Simulation
+from scenegen.fly.simulation import HITS, Observation, Simulation
 from scenegen.model.config import split_own
-from scenegen.model.robots import FORGETFUL, NAMES
+from scenegen.model.robots import BRAKES, FORGETFUL, NAMES
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route, field_of_view
+from scenegen.worlds.world import World
 
 PERIODS_PER_PICTURE = 3
 """Periods from picture to picture, at least."""
@@ -32,6 +34,7 @@ MAX_PICTURES = 200
 ENDS = {
     "success": "reaches the goal",
     "collision": "hits an obstacle",
+    "struck": "meets a mover",
     "left": "leaves the bounds",
     "timeout": "runs out of time",
     "crashed": "ends because the robot fails",
@@ -107,7 +110,9 @@ def looks_of_flight(
     mission = simulation.mission
     grid, first = within(mission.bounds, getattr(robot, "grid", GridSpec()))
     origin = first * np.float64(grid.voxel_m)
-    truth = course.simulated.truth(grid, origin)["occupancy"]
+    world = course.simulated
+    truth = world.truth(grid, origin)["occupancy"]
+    movers = world.movers if isinstance(world, World) else None
     moments, looks = list(_moments(course, number, simulation, robot, flown)), []
     film = _film(simulation) | {"ends": _ends(course, flights), "flight": number}
     for moment in moments:
@@ -117,6 +122,9 @@ def looks_of_flight(
         # the last scan was taken where the robot decided last
         scanned_at = moments[-2].seen["position"] if at_end else position
         returns = scanned_at + rotate(seen["quaternion"], hits.astype(np.float64))
+        now = truth
+        if movers is not None:
+            now = truth | (mover_voxels(movers, grid, origin, float(seen["time_s"][0])) >= 0)
         # without a robot's map, the picture shows the last scan
         observed = sort_points(scanned_at, returns, grid, origin).observed
         ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
@@ -126,7 +134,7 @@ def looks_of_flight(
             goal=np.array(mission.goal),
             points=np.concatenate([moment.way, ahead]),
             told=f"{outcome}, {len(moment.way) - 1} of {len(flown.commands)} periods flown",
-            hit=position if outcome == "collision" else None,
+            hit=position if outcome in HITS else None,
             flown=len(moment.way),
         )
         occupied = observed if moment.taken is None else moment.taken
@@ -137,7 +145,7 @@ def looks_of_flight(
                 origin=origin,
                 position=position,
                 quaternion=seen["quaternion"],
-                masks={"occupancy": truth, "observed": observed},
+                masks={"occupancy": now, "observed": observed},
                 scans=[returns],
                 rays=seen["ranges"].size,
                 fov_deg=field_of_view(simulation.sensor),
@@ -166,7 +174,7 @@ def _ends(course: Course, flights: Sequence[Flown]) -> list[Json]:
     ends = []
     for number, flown in enumerate(flights):
         end: Json = {"text": f"flight {number} {ENDS[flown.outcome]} after {flown.time_s:.2f} s"}
-        if flown.outcome == "collision":
+        if flown.outcome in HITS:
             simulation = course.simulation(number)
             for _ in flown_again(simulation, flown, blind=True):
                 pass
@@ -211,11 +219,12 @@ def looks_of_recording(path: Path, number: int = 0) -> list[Look]:
 def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
     """Return what makes the robot of a recording: one of scenegen's own, or one with the network
     whose bytes the recording names; else None."""
+    name, brakes, _ = recording.robot.partition(BRAKES)
     if not recording.network:
-        return robot_maker(recording.robot, None) if recording.robot in NAMES else None
+        return robot_maker(name, None, bool(brakes)) if name in NAMES else None
     from scenegen.model.completion.completer import HUB, locate  # imports torch
 
-    weights, last_scan, _ = recording.robot.partition(", last scan")
+    weights, last_scan, _ = name.partition(", last scan")
     # neither a download nor code of a user's own
     if weights.startswith(HUB) or split_own(weights)[0]:
         return None
@@ -223,4 +232,5 @@ def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
         is_same = file_sha256(locate(weights)) == recording.network
     except ScenegenError:
         return None
-    return robot_maker(FORGETFUL if last_scan else "", weights) if is_same else None
+    robot = FORGETFUL if last_scan else ""
+    return robot_maker(robot, weights, bool(brakes)) if is_same else None

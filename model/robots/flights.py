@@ -35,9 +35,11 @@ from scenegen.fly.suite import (
     track_of,
 )
 from scenegen.model.completion.protocol import Conservative, Extrude, Returns
-from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
+from scenegen.model.robots import FORESEEING, FORGETFUL, NAMES, REACTIVE
+from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
+from scenegen.worlds.world import AnyWorld, World
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of a flight of which a summary has the mean."""
@@ -45,13 +47,14 @@ COUNTS = ("late", "invalid", "speeding")
 """Figures of a flight of which a summary has the sum."""
 
 
-def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
+def robot_maker(name: str, weights: str | None, brakes: bool = False) -> Callable[[Course], Any]:
     """Return a function that makes the robot for a course.
 
     Args:
         name: One of `NAMES`, or a user's own robot, which runs in a process of its own.
         weights: A network by which a robot that maps completes: the map of all scans, or of the
             last scan if `name` is "returns".
+        brakes: Whether a robot that maps brakes for what it has not seen, see `MappingRobot`.
 
     Returns:
         The function.
@@ -61,19 +64,30 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
 
         network = opened_once(weights, "cpu", 1)
         memory = name != FORGETFUL
-        return lambda course: MappingRobot(network, memory=memory, doubts=True)
+        return lambda course: MappingRobot(network, memory=memory, doubts=True, brakes=brakes)
     known = {
         # occupied where the last scan, or any scan, returned; unknown voxels are free
-        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
-        "optimistic": lambda course: MappingRobot(Returns()),
+        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False, brakes=brakes),
+        "optimistic": lambda course: MappingRobot(Returns(), brakes=brakes),
         # unknown voxels are occupied
-        "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
-        "extrude": lambda course: MappingRobot(Extrude(), doubts=True),
-        # no other robot is given the world
-        "truth": lambda course: TruthRobot(course.simulated),
+        "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True, brakes=brakes),
+        "extrude": lambda course: MappingRobot(Extrude(), doubts=True, brakes=brakes),
+        # movers are expected to stay, or to go on
+        "forgetting": lambda course: TrackingRobot(predicts=False, brakes=brakes),
+        "predicting": lambda course: TrackingRobot(predicts=True, brakes=brakes),
+        # no other robots are given the world
+        "truth": lambda course: _knowing(course.simulated, predicts=False),
+        FORESEEING: lambda course: _knowing(course.simulated, predicts=True),
         REACTIVE: lambda course: ReactiveRobot(),
     }
     return known.get(name) or (lambda course: own_robot(name))
+
+
+def _knowing(world: AnyWorld, *, predicts: bool) -> MappingRobot:
+    """The robot that knows a world, and its movers if it has some."""
+    if isinstance(world, World) and world.movers is not None:
+        return TruthAmongMovers(world, predicts=predicts)
+    return TruthRobot(world)
 
 
 def real_course(course: Course, hidden: int | None) -> Course:
@@ -90,7 +104,12 @@ def real_course(course: Course, hidden: int | None) -> Course:
 
 
 def fly_course(
-    course: Course, *, robot: str, weights: str | None, hidden: int | None = None
+    course: Course,
+    *,
+    robot: str,
+    weights: str | None,
+    brakes: bool = False,
+    hidden: int | None = None,
 ) -> FlownCourse:
     """Fly all flights of a course, one after the other, by the same robot.
 
@@ -98,13 +117,14 @@ def fly_course(
         course: The course.
         robot: See `robot_maker`.
         weights: See `robot_maker`.
+        brakes: See `robot_maker`.
         hidden: See `real_course`.
 
     Returns:
         The course, with the hash of its world, and the flights.
     """
     real = real_course(course, hidden)
-    pilot = robot_maker(robot, weights)(real)
+    pilot = robot_maker(robot, weights, brakes)(real)
     try:
         flown = [fly_mission(real.simulation(n), pilot) for n in range(real.flights)]
     finally:

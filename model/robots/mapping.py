@@ -68,6 +68,8 @@ class MappingRobot:
         doubts: Whether observations outweigh predictions: a path stands until observed voxels make
             it narrower, and may lead through predicted voxels if there is no other. Predictions
             change as the vehicle moves.
+        brakes: Whether it is never faster than it can stop before the first voxel of its path that
+            no ray has crossed or returned from.
     """
 
     def __init__(
@@ -77,9 +79,10 @@ class MappingRobot:
         memory: bool = True,
         frontier: bool = False,
         doubts: bool = False,
+        brakes: bool = False,
     ):
         self._completer, self._memory, self._frontier = completer, memory, frontier
-        self._doubts = doubts
+        self._doubts, self._brakes = doubts, brakes
         self.grid: GridSpec = getattr(completer, "grid", GridSpec())
 
     def reset(self, about: Observation) -> None:
@@ -111,6 +114,7 @@ class MappingRobot:
                 "quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
                 "velocity": np.zeros(3),
                 "goal": about["goal"],
+                "time_s": np.zeros(1),
             }
         )
         MappingRobot.reset(self, about)
@@ -142,7 +146,8 @@ class MappingRobot:
         self.path = path
         if path is None:
             return no_way(self._about)
-        return follow(path, observation, self._about, self._room)
+        seen = self._known_at if self._brakes else None
+        return follow(path, observation, self._about, self._room, seen)
 
     def taken(self) -> Mask:
         """Return the voxels `within` the bounds that the robot takes for occupied."""
@@ -152,6 +157,12 @@ class MappingRobot:
         """Distances (n,), metres, of points (n, 3), world metres, from occupied voxels."""
         field, voxel_m = self._distance, self.grid.voxel_m
         return np.array([field_at(field, x, y, z, voxel_m)[0] for x, y, z in points - self._start])
+
+    def _known_at(self, points: Floats) -> Mask:
+        """Whether rays crossed the voxels of points (n, 3), world metres, or returned from them."""
+        voxels = np.floor(points / self.grid.voxel_m).astype(np.int64) - self._least
+        voxels = np.clip(voxels, 0, np.array(self._known.shape[1:]) - 1)
+        return np.asarray(self._known[:, *voxels.T].any(axis=0))
 
     @property
     def origin(self) -> Floats:
@@ -172,13 +183,19 @@ class MappingRobot:
         rays = self._rays(known)
         seen = voxelize(Scan(ranges[known], pose, rays), self.grid, self.origin)
         self.observed, self.free, self._pose = seen.observed, seen.free, pose
+        window = _box(self._corner - self._least, self.grid.shape)
         if self._memory:
-            window = _box(self._corner - self._least, self.grid.shape)
-            observed, free = self._known[:, *window]
-            self.observed |= observed
-            # a return outweighs rays that crossed its voxel, in this scan or an earlier one
-            self.free = (self.free | free) & ~self.observed
-            self._known[:, *window] = self.observed, self.free
+            self._remember(window, observation)
+        else:
+            self._known[:] = False
+        self._known[:, *window] = self.observed, self.free
+
+    def _remember(self, window: tuple[slice, ...], observation: Observation) -> None:
+        """Add what is known of the window from earlier scans to `observed` and `free`."""
+        observed, free = self._known[:, *window]
+        self.observed |= observed
+        # a return outweighs rays that crossed its voxel, in this scan or an earlier one
+        self.free = (self.free | free) & ~self.observed
 
     def _rays(self, chosen: Any) -> Any:
         """The sensor, as `lidarsim.Sensor` has it, with the `chosen` rays."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
@@ -26,8 +26,37 @@ SLOWEST_MPS = 0.5
 """Speed in the narrowest places, metres a second."""
 STRAIGHT_M = 0.1
 """Room that it keeps from what lies straight ahead, metres."""
+CREEP_MPS = 0.25
+"""Speed towards what nothing has seen, metres a second: it would stop for ever otherwise."""
+UNSEEN_STEP_M = 0.1
+"""Distance of the points of a path at which it is looked up what has been seen, metres."""
 TURN = 2.0
 """Rate of yaw for each radian off the course, 1/s."""
+
+
+def stopping_m(speed: float, about: Observation) -> float:
+    """Length in which the vehicle stops from a speed, metres: it flies on for `LAG_S`, and brakes
+    at its acceleration, which takes its jerk bound some time to reach.
+
+    Args:
+        speed: Metres a second.
+        about: See `Simulation.about`.
+    """
+    pull, jerk = float(about["acceleration_mps2"]), float(about["jerk_mps3"])
+    return speed * (LAG_S + pull / jerk) + speed * speed / (2.0 * pull)
+
+
+def stopping_mps(length: float, about: Observation) -> float:
+    """The speed from which the vehicle stops within a length, at least `CREEP_MPS`, m/s; see
+    `stopping_m`.
+
+    Args:
+        length: Metres.
+        about: See `Simulation.about`.
+    """
+    pull = float(about["acceleration_mps2"])
+    lost = pull * (LAG_S + pull / float(about["jerk_mps3"]))
+    return max(math.sqrt(lost * lost + 2.0 * pull * max(length, 0.0)) - lost, CREEP_MPS)
 
 
 def velocity_to(
@@ -66,6 +95,7 @@ def follow(
     observation: Observation,
     about: Observation,
     room: Callable[[Floats], Floats],
+    seen: Callable[[Floats], Mask] | None = None,
 ) -> Floats:
     """Follow a path: fly towards a point on it a little ahead.
 
@@ -78,6 +108,9 @@ def follow(
         observation: See `Simulation.observe`.
         about: See `Simulation.about`.
         room: Function from points (n, 3) to distances from occupied voxels, (n,), metres.
+        seen: Function from points (n, 3) to whether a ray has crossed their voxel or returned from
+            it, (n,): the vehicle is never faster than it can stop before the first that none has.
+            None if it does not brake for them.
 
     Returns:
         The action (4,).
@@ -113,6 +146,11 @@ def follow(
     # v² = v_end² + 2 a s: the vehicle brakes with half of its acceleration
     target = float(np.sqrt(allowed**2 + pull * way).min())
     target = min(fastest, target, math.sqrt(pull * left) + 0.1)
+    if seen is not None:
+        along = np.arange(0.0, min(left, stopping_m(fastest, about) + radius), UNSEEN_STEP_M)
+        unseen = ~seen(np.stack([np.interp(along, ends, axis) for axis in path.T], axis=1))
+        if unseen.any():
+            target = min(target, stopping_mps(float(along[unseen.argmax()]) - radius, about))
     if speed > SLOWEST_MPS:
         # the path may turn where the vehicle cannot: it flies straight on until it has braked
         along = np.linspace(0, sight, POINTS)

@@ -35,7 +35,8 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
 from scenegen.fly import SUITES, Rules, Vehicle
-from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
+from scenegen.model.robots import BRAKES, BRAKING, FORGETFUL, MAPPING, NAMES, REACTIVE
+from scenegen.worlds.traffic import PRESETS as TRAFFIC
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course, Flights
@@ -59,6 +60,12 @@ robot_options = together(
         "--weights",
         type=Weights(),
         help="Network that completes the robot's map, or with --robot returns the last scan.",
+    ),
+    click.option(
+        "--brakes",
+        is_flag=True,
+        help="The robot is never faster than it can stop before the first voxel of its path that "
+        "it has not seen.",
     ),
 )
 picture_options = together(
@@ -130,11 +137,20 @@ def fly() -> None:
 @lidar_option("raster")
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
+@click.option(
+    "--movers", type=Choice(TRAFFIC), help="People, vehicles and drones that move in drawn worlds."
+)
+@click.option(
+    "--scans",
+    type=click.IntRange(1, 10),
+    default=1,
+    help="Number of scans of an observation: the last one and those before.",
+)
 @seed_option("Seed of the world, the goals and the noise.")
 @out_option("File for a recording of the flights, .json.")
 @picture_options
-@group("Robot", "robot weights radius speed acceleration dynamics")
-@group("Courses", "flights worlds difficulty apart moving seed")
+@group("Robot", "robot weights brakes scans radius speed acceleration dynamics")
+@group("Courses", "flights worlds difficulty movers apart moving seed")
 def world(
     name: str,
     flights: int,
@@ -144,6 +160,8 @@ def world(
     lidar: str | None,
     noise: str | None,
     moving: bool,
+    movers: Any,
+    scans: int,
     **options: Any,
 ) -> None:
     """Fly a robot through a world: a kind's, an MJCF file, or a map of a real place.
@@ -174,6 +192,8 @@ def world(
             lidar=lidar or "raster",
             noise=noise or "",
             moving=moving,
+            movers=movers or "",
+            scans=scans,
             vehicle=vehicle,
             rules=rules,
         )
@@ -196,7 +216,7 @@ def world(
 )
 @out_option("The entry, .json; an unfinished one is continued.")
 @picture_options
-@group("Robot", "robot weights")
+@group("Robot", "robot weights brakes")
 @group("Courses", "quick hidden maps")
 def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
     """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19.
@@ -227,6 +247,7 @@ def _fly(
     *,
     robot: str,
     weights: str | None,
+    brakes: bool,
     out: Path | None,
     verbose: bool,
     execute: Executor,
@@ -238,7 +259,8 @@ def _fly(
     """Fly through courses, record the flights, and print and draw them."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
-    name, network, work = _begin(robot, weights, hidden, drawing["log"], execute, verbose)
+    made = robot, weights, brakes
+    name, network, work = _begin(made, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
     if weights is None:  # a network's robot is scenegen's own
@@ -251,18 +273,17 @@ def _fly(
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
     crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
-    _show(flown, name, (robot, weights), hidden=hidden, crew=crew, files=[out], **drawing)
+    _show(flown, name, made, hidden=hidden, crew=crew, files=[out], **drawing)
 
 
 def _begin(
-    robot: str,
-    weights: str | None,
+    made: tuple[str, str | None, bool],
     hidden: int | None,
     log: Path | None,
     execute: Executor,
     verbose: bool,
 ) -> tuple[str, str, Any]:
-    """Check the options of a robot.
+    """Check the options of a robot, given as for `robot_maker`.
 
     Returns:
         The robot's name, the SHA-256 of its network or "", and a function that flies it through a
@@ -276,6 +297,12 @@ def _begin(
     from scenegen.model.completion.completer import locate
     from scenegen.model.robots.flights import fly_course
 
+    robot, weights, brakes = made
+    if brakes and weights is None and robot not in BRAKING:
+        raise click.UsageError(
+            f"--brakes: {robot} has no map of what it has seen; expected --weights, or --robot "
+            f"{', '.join(BRAKING)}"
+        )
     if weights is not None and was_given("robot") and robot != FORGETFUL:
         raise click.UsageError(
             "--weights chooses the robot; leave out --robot, or give --robot returns, which "
@@ -290,7 +317,8 @@ def _begin(
     if weights is not None:
         name = f"{weights}, last scan" if robot == FORGETFUL else weights
         network = file_sha256(locate(weights))
-    work = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
+    name += BRAKES * brakes
+    work = partial(fly_course, robot=robot, weights=weights, brakes=brakes, hidden=hidden)
     return name, network, work
 
 
@@ -299,12 +327,13 @@ def _begin(
 @robot_options
 @track_options("Number of an entry's hidden track.", "Folder of an entry's maps.")
 @picture_options
-@group("Robot", "robot weights")
+@group("Robot", "robot weights brakes")
 @group("Courses", "hidden maps")
 def replay(
     path: Path,
     robot: str,
     weights: str | None,
+    brakes: bool,
     hidden: int | None,
     maps: Path | None,
     verbose: bool,
@@ -325,7 +354,8 @@ def replay(
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
     track = _track(hidden, maps)
-    pilot, _, work = _begin(robot, weights, hidden, drawing["log"], execute, verbose)
+    made = robot, weights, brakes
+    pilot, _, work = _begin(made, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, track, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
     with Progress("replay", visible=verbose) as progress:
@@ -334,7 +364,7 @@ def replay(
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
         # only a robot that the user names: the default one may not be that of the recording
         if weights is not None or was_given("robot"):
-            filmed = robot, weights
+            filmed = made
             count, differing = fly_anew(recording, work, crew)
             notes[ANEW] = f"{count - len(differing)} of {count} flights"
     crew = crew_of(execute)
@@ -372,7 +402,7 @@ for subcommand in (world, suite, replay, rank):
 def _show(
     flown: "Flights",
     name: str,
-    filmed: tuple[str, str | None] | None,
+    filmed: tuple[str, str | None, bool] | None,
     notes: Mapping[str, str] = MappingProxyType({}),
     differing: "Sequence[Flown]" = (),
     *,
@@ -406,12 +436,13 @@ def _show(
     # recordings hide the seeds of a hidden track; drawing needs them
     course = real_course(first, hidden)
     if picture is not None:
+        from scenegen.fly.simulation import HITS
         from scenegen.view.opened import look_of_world
         from scenegen.view.stills import draw, to_bytes, with_path
 
         look = look_of_world(course.drawn, course.world)
         for n, (flight, mission) in enumerate(zip(ways, course.missions, strict=True), 1):
-            hit = flight.path[-1] if flight.outcome == "collision" else None
+            hit = flight.path[-1] if flight.outcome in HITS else None
             look = with_path(look, f"{n}: {flight.outcome}", flight.path, mission.goal, hit)
         figure = draw([look], "paths", title=f"{name} in {course.world}")
         write_result(picture, to_bytes(figure, ".png"))

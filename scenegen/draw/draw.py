@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
 from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import ENGINES, Caster, EngineFactory
@@ -442,6 +443,7 @@ def scan_world(
     *,
     seed: int | Sequence[int],
     engine: EngineFactory | str = AnalyticEngine.of,
+    time_s: ArrayLike = 0.0,
 ) -> Returns:
     """Scan a world.
 
@@ -453,6 +455,7 @@ def scan_world(
         seed: Seed of the noise.
         engine: Name of the engine for a world of solids, such as "mujoco", or a function that makes
             one, such as `lidarsim.MujocoEngine.of`.
+        time_s: When rays meet movers, seconds; one number, or one for each ray, (*lidar.shape).
 
     Returns:
         Ranges and intensities. `points()` are the returns (M, 3), metres, in the world's frame.
@@ -464,7 +467,10 @@ def scan_world(
     with reraise_as(RecipeError):
         factory = ENGINES.find(engine).of if isinstance(engine, str) else engine
     rng = np.random.default_rng(seed)
-    caster = world.caster(factory)
+    if isinstance(world, Place):
+        caster: Any = world.caster(factory)
+    else:
+        caster = world.caster_at(factory, time_s)
     return observed(cast(caster, lidar, pose), named_noise(noise, lidar), world.albedo, caster, rng)
 
 

@@ -18,6 +18,7 @@ from numpy.random import Generator
 from scenegen import SPLITS
 from scenegen.base.errors import (
     CorruptFileError,
+    GenerationError,
     RecipeError,
     SceneError,
     plural,
@@ -40,7 +41,15 @@ from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.recipe import Acceptance, Recipe, preset
 from scenegen.worlds.scene import Reading, Scene, named, read_file
-from scenegen.worlds.world import AnyWorld, World, archived_world, solid, write_world
+from scenegen.worlds.traffic import Traffic
+from scenegen.worlds.world import (
+    AnyWorld,
+    World,
+    archived_world,
+    populated,
+    solid,
+    write_world,
+)
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """Relative numbers of worlds of each split, when the worlds of a folder are divided."""
@@ -217,6 +226,7 @@ def named_world(
     seed: int,
     difficulty: str | None = None,
     report: Callable[[str], None] | None = None,
+    traffic: Traffic | None = None,
 ) -> AnyWorld:
     """Read a world from a file, or draw one of a kind.
 
@@ -225,15 +235,32 @@ def named_world(
         seed: Seed of a drawn world.
         difficulty: "easy", "medium" or "hard".
         report: Called with each note about a file.
+        traffic: Movers of a drawn world; the world is drawn again until they find room.
 
     Raises:
         SceneError: if the file cannot be used.
         RecipeError: if there is no such kind.
+        GenerationError: if movers find no room.
     """
     if Path(name).exists() or (":" not in name and not name.isidentifier()):
+        if traffic is not None:
+            raise GenerationError(f"{name}: movers are drawn into worlds of a kind alone")
         return read_world(name, report)
-    drawn = DrawnWorlds(preset(name, difficulty=difficulty))
-    return drawn.world("train", 0, rng=np.random.default_rng(seed))
+    recipe = preset(name, difficulty=difficulty)
+    drawn = DrawnWorlds(recipe)
+    first = drawn.world("train", 0, rng=np.random.default_rng(seed))
+    if traffic is None or recipe.world is None:
+        return first
+    for attempt in range(recipe.accept.max_draws):
+        rng = np.random.default_rng([seed, attempt])
+        world = drawn.world("train", 0, rng=rng) if attempt else first
+        zones = recipe.world.mover_zones(world.flight_bounds)
+        if (moving := populated(world, zones, traffic, rng=rng)) is not None:
+            return moving
+    raise GenerationError(
+        f"{name}, seed {seed}: its movers find no room in {recipe.accept.max_draws} worlds; "
+        "take fewer movers, or another kind"
+    )
 
 
 @functools.lru_cache(maxsize=8)  # the units of a split return to the same worlds

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from scenegen.logs import LogScan
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.tables import named_lidar, named_noise
+from scenegen.worlds.traffic import PRESETS as TRAFFIC
 from scenegen.worlds.world import AnyWorld
 
 FORMAT = 1
@@ -59,7 +61,12 @@ class Course(Checked):
     noise: str = ""
     """Stages of noise, as for `--noise`."""
     moving: bool = False
-    """Whether each ray is cast from where the sensor is at the ray's time."""
+    """Whether each ray is cast from where the sensor is at the ray's time, and meets movers where
+    they are then."""
+    movers: Literal["", "light", "medium", "dense"] = ""
+    """How many movers a kind's world has, as for `generate --movers`; "" for none."""
+    scans: int = number(1, minimum=1, maximum=10)
+    """How many scans an observation holds."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     rules: Rules = field(default_factory=Rules)
     flights: int = number(10, minimum=1)
@@ -80,7 +87,8 @@ class Course(Checked):
     @cached_property
     def drawn(self) -> AnyWorld:
         """The world that `world` names. Raises GenerationError if its hash is another."""
-        world = named_world(self.world, self.seed, self.difficulty)
+        traffic = TRAFFIC.get(self.movers)
+        world = named_world(self.world, self.seed, self.difficulty, traffic=traffic)
         check_document(hashlib.sha256(world.mjcf).hexdigest(), self)
         return world
 
@@ -115,6 +123,7 @@ class Course(Checked):
             rules=self.rules,
             noise=self.chain,
             moving=self.moving,
+            scans=self.scans,
             seed=self.seed,
         )
 

@@ -23,6 +23,8 @@ MARGIN = 10
 TRIES = {World: 200, Place: 10_000}
 """Pairs drawn for a mission before a world counts as too narrow; more for a map, which is mostly
 unknown."""
+CALM_S = 1.0
+"""For so long no mover comes near the start, seconds."""
 ROOMS = 20
 """Parts of a map that are tried for a mission before the map counts as too narrow."""
 Point = tuple[float, float, float]
@@ -160,6 +162,7 @@ def _draw(
     """Draw a start and a goal at least `apart` metres from one another, both clear of obstacles and
     connected by a way that the vehicle fits through; None if no pair is found."""
     bounds, clearance, spare = room.bounds, world.clearance, vehicle.radius_m + rules.spare_m
+    movers = world.movers if isinstance(world, World) else None
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
     for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES[type(world)], 2, 3)):
         voxels = room.grid.index(pair, room.origin)
@@ -168,6 +171,7 @@ def _draw(
             math.dist(start, goal) < apart
             or room.blocked[tuple(voxels.T)].any()
             or min(clearance.at(*start), clearance.at(*goal)) < spare
+            or (movers is not None and movers.distances_m(start[None], 0.0, CALM_S)[0] < spare)
         ):
             continue
         nodes = _way(room.blocked, voxels)

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections import deque
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Sensor
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Vector
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
@@ -28,11 +29,14 @@ from scenegen.fly.motion import (
     pose_of,
 )
 from scenegen.fly.serve import numbers_of
-from scenegen.worlds.world import AnyWorld
+from scenegen.worlds.clearance import MoversClearance
+from scenegen.worlds.world import AnyWorld, World
 
-Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
-"""How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or its robot
-raised or died, did not answer, or wrote too much."""
+Outcome = Literal["success", "collision", "struck", "left", "timeout", "crashed", "hung", "flooded"]
+"""How a flight ended: at its goal; at a solid that stands; at a mover; beyond the flight bounds;
+out of time; or its robot raised or died, did not answer, or wrote too much."""
+HITS = ("collision", "struck")
+"""Outcomes in which the vehicle touched something."""
 Observation = dict[str, NDArray[Any]]
 """Arrays by name, see `Simulation.observe`."""
 LARGEST = 1e6
@@ -51,8 +55,8 @@ class Simulation:
         time_s: Time flown, seconds.
         outcome: How the flight ended; None until then.
         states: All states so far, (STEPS, 11) for each period, cut at the flight's end.
-        clearances_m: Distance of the centre from the nearest solid at each state, capped at
-            `scenegen.worlds.clearance.CAP_M`, metres.
+        clearances_m: Distance of the centre from the nearest solid or mover at each state, capped
+            at `scenegen.worlds.clearance.CAP_M`, metres.
     """
 
     world: AnyWorld
@@ -64,11 +68,16 @@ class Simulation:
     noise: Noise = field(default_factory=Noise)
     moving: bool = False
     """Whether each ray is cast from where the sensor is at the ray's time."""
+    scans: int = 1
+    """How many scans an observation holds: the last one, and those before it."""
     seed: int = 0
     """Seed of the noise."""
 
     def __post_init__(self) -> None:
         mission, self._clearance = self.mission, self.world.clearance
+        movers = self.world.movers if isinstance(self.world, World) else None
+        self._movers = None if movers is None else MoversClearance(movers)
+        self._earlier = deque[Observation](maxlen=max(self.scans - 1, 0))
         east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
         length = math.sqrt(east * east + north * north)
         # the vehicle starts facing its goal
@@ -78,7 +87,7 @@ class Simulation:
         self.most_s = self.rules.patience * mission.shortest_m / self.vehicle.speed_mps
         self.outcome: Outcome | None = None
         self.states: list[Floats] = [self.state[None]]
-        self.clearances_m = [self._clearance.at(*mission.start)]
+        self.clearances_m = [self._free(mission.start, 0.0)]
         self._digest: Any = hashlib.sha256()
         self._seen, self._turning = b"", 0.0
         by_mujoco = self.vehicle.dynamics == "mujoco"
@@ -132,7 +141,10 @@ class Simulation:
             `ranges` (*sensor.shape), metres, inf where nothing returned; `points`
             (*sensor.shape, 3), metres from the body along its axes, 0 where nothing returned;
             `position` (3,), `quaternion` (4,), w x y z, and `velocity` (3,) of the body in the
-            world, metres and m/s; `goal` (3,), world metres; `time_s` (1,).
+            world, metres and m/s; `goal` (3,), world metres; `time_s` (1,). With n = `scans` - 1
+            above 0 also the scans before, the latest first: `earlier_ranges` (n, *sensor.shape),
+            `earlier_position` (n, 3), `earlier_quaternion` (n, 4) and `earlier_time_s` (n, 1); at
+            the begin of a flight, the oldest one again.
 
         Raises:
             GenerationError: The noise does not fit the world.
@@ -146,28 +158,44 @@ class Simulation:
                 forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning
             )
             chain = in_motion(pace, chain)
-        seen = scan_world(self.world, self.sensor, pose, chain, seed=[self.seed, self.periods])
+        # a ray that is cast at its own time meets movers at that time
+        times_s = self.time_s + (self.sensor.times_s if self.moving else 0.0)
+        seed = [self.seed, self.periods]
+        seen = scan_world(self.world, self.sensor, pose, chain, seed=seed, time_s=times_s)
         ranges = seen.ranges[0].astype(np.float32)
         self._seen = ranges.tobytes()
         hit = np.isfinite(ranges)
         points = np.zeros((*ranges.shape, 3))
         points[hit] = pose.to_body(seen.points())
-        return {
+        scan = {
             "ranges": ranges,
-            "points": points.astype(np.float32),
             "position": pose.position.copy(),
             "quaternion": pose.quaternion.copy(),
+            "time_s": np.array([self.time_s]),
+        }
+        while len(self._earlier) < self.scans - 1:
+            self._earlier.append(scan)
+        before = {
+            f"earlier_{name}": np.stack([one[name] for one in self._earlier])
+            for name in scan
+            if self._earlier
+        }
+        self._earlier.appendleft(scan)
+        return {
+            **scan,
+            "points": points.astype(np.float32),
             "velocity": self.state[VELOCITY].copy(),
             "goal": np.array(self.mission.goal),
-            "time_s": np.array([self.time_s]),
+            **before,
         }
 
     def step(self, command: Command) -> float:
         """Fly one period, or until the flight ends.
 
         Collisions between steps are found to a millimetre: if a step is longer than the clearance
-        before it, its chord is checked. A step strays from its chord by at most a t² / 8, which is
-        added to the radius.
+        before it, its chord is checked; among movers, every chord is, with movers where they are
+        when the vehicle is there. A step strays from its chord by at most a t² / 8, which is added
+        to the radius.
 
         Args:
             command: A command (4,) from `bounded`.
@@ -184,11 +212,8 @@ class Simulation:
             states, pull = advance(self.state, command, vehicle), max_pull(vehicle)
         stray = pull * STEP_S * STEP_S / 8
         radius, self._turning = vehicle.radius_m + stray, float(command[3])
-        position, free, flown = (
-            tuple(self.state[POSITION].tolist()),
-            self.clearances_m[-1],
-            len(states),
-        )
+        position: Any = tuple(self.state[POSITION].tolist())
+        free, flown, now_s = self.clearances_m[-1], len(states), self.time_s
         for number, at in enumerate(states[:, POSITION], start=1):
             next_position = tuple(at.tolist())
             if math.dist(
@@ -197,11 +222,16 @@ class Simulation:
                 position, next_position, radius
             ):
                 self.outcome = "collision"
+            elif self._movers and not self._movers.motion_is_free(
+                position, next_position, (now_s, now_s + STEP_S), radius
+            ):
+                self.outcome = "struck"
             elif ((at < low) | (at > high)).any():
                 self.outcome = "left"
             elif math.dist(next_position, self.mission.goal) <= self.rules.reach_m:
                 self.outcome = "success"
-            position, free = next_position, self._clearance.at(*next_position)
+            now_s = self.time_s + number * STEP_S
+            position, free = next_position, self._free(next_position, now_s)
             self.clearances_m.append(free)
             if self.outcome is not None:
                 flown = number
@@ -217,6 +247,13 @@ class Simulation:
         if self.outcome is None and self.time_s >= self.most_s:
             self.outcome = "timeout"
         return before_m - self._left_m() + prize
+
+    def _free(self, point: Vector, time_s: float) -> float:
+        """Distance of a point from the nearest solid or mover, metres, at most `CAP_M`."""
+        free = self._clearance.at(*point)
+        if self._movers is not None:
+            free = min(free, float(self._movers.at(np.array([point]), np.array([time_s]))[0]))
+        return free
 
     def _left_m(self) -> float:
         return math.dist(self.state[POSITION], self.mission.goal)

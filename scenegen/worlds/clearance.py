@@ -9,7 +9,7 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
-from lidarsim.movers import pose, velocity
+from lidarsim.movers import Movers, place, pose, velocity
 from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
@@ -117,6 +117,52 @@ class Clearance:
         """
         grown = balls + np.array([0.0, 0.0, 0.0, gap_m])
         return bool(_course_is_free(begin_s, course, end_s, grown, self._arguments))
+
+
+class MoversClearance:
+    """Distances to movers, each where it is at a time."""
+
+    def __init__(self, movers: Movers):
+        """Bound how far movers reach and how fast their points are.
+
+        Args:
+            movers: The movers; their headings run along a chord in every piece.
+        """
+        self._arguments = movers.bodies
+        self._fastest_mps = float(movers.point_speeds_mps.max(initial=0.0))
+
+    def at(self, points: Floats, times_s: Floats) -> Floats:
+        """Compute the distances of points from the nearest solid of a mover.
+
+        Args:
+            points: (n, 3), metres.
+            times_s: (n,): the time of each point, seconds.
+
+        Returns:
+            (n,) metres, at most `CAP_M`; 0 inside a solid.
+        """
+        nearest = np.empty(len(points))
+        _from_movers(points, times_s, nearest, self._arguments)
+        return nearest
+
+    def motion_is_free(
+        self, p: Vector, q: Vector, times_s: tuple[float, float], radius_m: float
+    ) -> bool:
+        """Test whether a ball that moves evenly along a line stays clear of every mover.
+
+        It walks by the time that ball and movers need at least for the distance still free, but at
+        least the time for `STEP_M`.
+
+        Args:
+            p: Start of its centre, metres.
+            q: End of its centre, metres.
+            times_s: When it is at the start, and when at the end, seconds.
+            radius_m: The ball's, below `CAP_M`.
+
+        Returns:
+            Whether it stays clear.
+        """
+        return bool(_motion_avoids(p, q, times_s, radius_m, self._fastest_mps, self._arguments))
 
 
 def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints]:
@@ -288,3 +334,46 @@ def _course_is_free(begin_s, course, end_s, balls, arguments):
                 else:
                     step = 0.5 * (end - begin)
     return True
+
+
+@kernel
+def _near_movers(x, y, z, time, arguments):
+    """The distance of a point from the nearest mover, up to `CAP_M`."""
+    courses, reach, solid_start, shape, size, offset = arguments
+    nearest = CAP_M
+    for m in range(len(reach)):
+        piece, u, px, py, pz = place(m, time, courses)
+        dx, dy, dz = x - px, y - py, z - pz
+        if math.sqrt(dx * dx + dy * dy + dz * dz) - reach[m] >= nearest:
+            continue
+        _, _, _, hx, hy = pose(courses[3], piece, u)
+        # to the mover's frame: the transpose of a turn about the vertical
+        qx, qy = hx * dx + hy * dy, hx * dy - hy * dx
+        for s in range(solid_start[m], solid_start[m + 1]):
+            ox, oy, oz = qx - offset[s, 0], qy - offset[s, 1], dz - offset[s, 2]
+            nearest = min(nearest, distance(shape[s], size[s], ox, oy, oz))
+    return nearest
+
+
+@kernel
+def _from_movers(points, times, nearest, arguments):
+    for n in range(len(points)):
+        nearest[n] = _near_movers(points[n, 0], points[n, 1], points[n, 2], times[n], arguments)
+
+
+@kernel
+def _motion_avoids(p, q, times, radius, fastest, arguments):
+    """See `MoversClearance.motion_is_free`."""
+    begin, end = times
+    dx, dy, dz = joining(p, q)
+    speed = math.sqrt(dx * dx + dy * dy + dz * dz) / (end - begin) + fastest
+    time = begin
+    while True:
+        s = (time - begin) / (end - begin)
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        free = _near_movers(x, y, z, time, arguments) - radius
+        if free < 0.0:
+            return False
+        if time >= end:
+            return True
+        time = min(time + max(free, STEP_M) / max(speed, STEP_M), end)

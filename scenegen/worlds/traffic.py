@@ -70,6 +70,7 @@ class Traffic(Checked):
 
 PRESETS = {
     "light": Traffic(),
+    "medium": Traffic(people=(4, 6), drones=(2, 4)),
     "dense": Traffic(people=(6, 10), vehicles=(1, 3), drones=(4, 6)),
 }
 """The settings by the value of --movers."""
