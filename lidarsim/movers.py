@@ -331,6 +331,15 @@ class MovingCaster:
         self._standing, self._movers, self._geoms = standing, movers, geoms
         self._time_s = np.asarray(time_s, float)
 
+    def part(self, chosen: Any) -> "MovingCaster":
+        """The caster for some of the rays of a pose.
+
+        Args:
+            chosen: Their index in arrays (*shape).
+        """
+        time_s = self._time_s[chosen] if self._time_s.ndim else self._time_s
+        return MovingCaster(self._standing, self._movers, time_s, geoms=self._geoms)
+
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Caster.cast`.
 

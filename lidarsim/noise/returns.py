@@ -257,10 +257,16 @@ class View:
         """
         ranges = np.empty(directions.shape[:-1])
         for group, origin in _by_origin(origins):
-            (ranges[group],) = self.engine.cast(
+            (ranges[group],) = self._engine_of(group).cast(
                 origin[None], directions[group][None], self.sensor.max_range_m
             )
         return ranges
+
+    def _engine_of(self, group: Any) -> Any:
+        """The engine for some of the rays, which meet movers at their own times."""
+        if group is ... or not hasattr(self.engine, "part"):
+            return self.engine
+        return self.engine.part(group)
 
     def surfaces(self, returns: Returns) -> tuple[Floats, Floats]:
         """Find the surfaces that the returns' rays meet first.
@@ -275,8 +281,7 @@ class View:
         Raises:
             ValueError: If the engine has no `hits`.
         """
-        hits = getattr(self.engine, "hits", None)
-        if hits is None:
+        if not hasattr(self.engine, "hits"):
             raise ValueError(
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
@@ -285,6 +290,7 @@ class View:
         light = np.empty(0) if self.albedo is None else np.array(self.albedo, float)
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
+            hits = self._engine_of(group).hits
             met = hits(origin[None], directions[None], self.sensor.max_range_m)
             rays = directions.reshape(-1, 3)
             # with one origin the results are written in place

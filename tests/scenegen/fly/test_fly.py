@@ -15,27 +15,30 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_equal
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, read_recording, replay
-from scenegen.fly.loop import fly, scored
+from scenegen.fly.loop import HOVER, fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, max_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds import kinds as recipes
+from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.world import compile_world
 from tests.command_line import rows
 from tests.conftest import hall_in
+from tests.lidarsim.test_movers import three_movers
 from tests.refusals import refuses
 from tests.scenegen import cases
 
 VEHICLE = Vehicle()
 DIGEST = "1942ab986e98128608be499ff806182b54e0ddb0e4a4c057a7526c36a086818a"
+VLP = "velodyne-vlp-16"
 BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
 """x, y, z and radius of spheres, metres."""
 BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
@@ -137,6 +140,53 @@ def test_a_collision_is_what_dense_samples_say():
         assert (least[: len(least) - touched] >= VEHICLE.radius_m - 1e-3).all()
         assert not touched or least[-1] <= VEHICLE.radius_m + 1e-4
     assert 2 <= hits <= 10
+
+
+def test_a_flight_is_struck_when_dense_samples_say():
+    """At five points of every step, by the solids where they are then."""
+    far, struck = world_of('<geom type="sphere" pos="4 90 2" size=".1"/>'), 0
+    for seed in range(8):
+        movers = three_movers(seed)
+        flying = simulation(replace(far, movers=movers))
+        # to where a mover is after a second, or past it
+        way = movers.poses(1.0)[0][seed % 3] + [0.0, 0.3 * (seed // 3), 0.5] - (0.0, 0.0, 2.0)
+        flown = fly(flying, Scripted([[*way, 0.0]] * 15))
+        states = np.concatenate(flying.states)
+        least = []
+        for n in range(len(states) - 1):
+            for share in np.linspace(0.0, 1.0, 5):
+                place = states[n, :3] + share * (states[n + 1, :3] - states[n, :3])
+                solids = movers.solids((n + share) * STEP_S)
+                least.append(Clearance(solids, np.array(BOUNDS)).at(*place))
+        hit = flown.outcome == "struck"
+        struck += hit
+        before = len(least) - 5 * hit
+        assert min(least[:before]) >= VEHICLE.radius_m - 2e-3
+        # between two samples, a mover comes 2 cm nearer at most
+        assert not hit or min(least[before:]) <= VEHICLE.radius_m + 0.02
+        assert_allclose(flying.clearances_m[1:], least[4::5], atol=1e-9)
+    assert 2 <= struck <= 6
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_observations_hold_movers_and_earlier_scans(moving):
+    course = Course(world="pillar", movers="dense", flights=1, scans=3, moving=moving, lidar=VLP)
+    flying = course.simulation(0)
+    seen = []
+    for _ in range(4):
+        seen.append(flying.observe())
+        flying.step(HOVER[0])
+    last = seen[-1]
+    times_s = 0.3 + moving * flying.sensor.times_s
+    pose = Pose(last["position"], last["quaternion"])
+    # the vehicle hovers: at their own times, its rays start where it is
+    caster = flying.world.caster_at(AnalyticEngine.of, times_s)
+    assert_allclose(last["ranges"], cast(caster, flying.sensor, pose).ranges, atol=1e-5)
+    still = cast(flying.world.caster(AnalyticEngine.of), flying.sensor, pose)
+    assert (last["ranges"] != still.ranges).any()
+    for name in ("ranges", "position", "quaternion", "time_s"):
+        assert_equal(last[f"earlier_{name}"], np.stack([seen[2][name], seen[1][name]]))
+    assert_equal(seen[0]["earlier_time_s"], np.zeros((2, 1)))
 
 
 def test_a_flight_has_the_same_bits_everywhere(rng):
