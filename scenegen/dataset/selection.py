@@ -52,12 +52,12 @@ def _difficulty(number: int, sample: Sample) -> float:
     return float(_difficulties(sample)[number])
 
 
-def _moving(measure: Callable[[Sample], Any], sample: Sample) -> float:
+def _moving(measure: Callable[[Any], Any], sample: Sample) -> float:
     """A measure of samples with movers; NaN for others."""
     return float("nan") if sample.mover_kind is None else float(measure(sample))
 
 
-def _movers_seen(sample: Sample) -> int:
+def _movers_seen(sample: Any) -> int:
     return np.unique(sample.return_mover[sample.return_mover >= 0]).size
 
 

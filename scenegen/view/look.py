@@ -260,8 +260,8 @@ def look_at(
     )
 
 
-def _timeline(sample: Sample) -> Timeline | None:
-    """Read what moves in a sample. Raises DatasetError if it is damaged."""
+def _timeline(sample: Any) -> Timeline | None:
+    """Read what moves in a `Sample`. Raises DatasetError if it is damaged."""
     if sample.mover_kind is None:
         return None
     # compiles: not for those who only show samples

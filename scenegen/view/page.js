@@ -372,6 +372,7 @@
       const { place, turn } = poseOf(body.userData);
       body.position.set(...place);
       body.rotation.z = turn;
+      if (body === layers.movers.children[0]) document.body.dataset.mover = [...place, turn].map((one) => one.toFixed(4)).join(" ");
     }
     keep();
     draw();
@@ -865,7 +866,7 @@
   };
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, #number")) return;
-    if (event.key === " " && event.target.matches("button, input")) return; // which it presses
+    if (event.key === " " && event.target.matches("button, input:not([type=range])")) return; // which it presses
     if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act) act();

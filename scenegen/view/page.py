@@ -34,7 +34,16 @@ from scenegen.base.errors import DatasetError, ScenegenError, printable
 from scenegen.base.files import Json
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.view.canvas import ON_PAGE, path_colours
-from scenegen.view.look import MASKS, Guess, Guesses, Look, Timeline, incomplete, look_into, title_of
+from scenegen.view.look import (
+    MASKS,
+    Guess,
+    Guesses,
+    Look,
+    Timeline,
+    incomplete,
+    look_into,
+    title_of,
+)
 
 MAX_VOXELS = 1 << 22
 """Maximum voxels of a grid on a page: a browser needs seconds to make so many cubes."""
