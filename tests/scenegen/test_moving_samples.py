@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.base.errors import DatasetError
+from scenegen.dataset.selection import MEASURES
 from scenegen.draw.draw import truth_of
 from scenegen.worlds.recipe import read_recipe
 from scenegen.worlds.tables import named_lidar
@@ -137,6 +138,13 @@ def moving(once):
 
 def test_a_dataset_with_movers_passes_every_check(moving):
     assert failed(moving) == {}
+
+
+def test_measures_count_movers(moving):
+    for sample in scenegen.load(moving):
+        hit = [number for number in sample.return_mover.ravel().tolist() if number >= 0]
+        assert MEASURES["mover_returns"](sample) == len(hit)
+        assert MEASURES["movers_seen"](sample) == len(set(hit))
 
 
 @pytest.mark.parametrize("scans", [1, 3])
