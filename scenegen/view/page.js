@@ -44,8 +44,6 @@
   if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
   if (holds("tudf")) kinds.set("distances", "distances");
   if (holds("classes")) kinds.set("classes", "classes");
-  if (holds("movers")) kinds.set("movers", "movers");
-  if (live || data.samples.some((one) => one.movers?.scans.length > 1)) kinds.set("ghosts", "ghosts");
   const methods = new Map(data.methods), rows = new Map(), owners = new Map();
   for (const name of methods.keys()) {
     kinds.set(name, "predicted");
@@ -56,6 +54,8 @@
   }
   if (methods.size) kinds.set("paths", "paths");
   if (holds("triangles")) kinds.set("world", "world");
+  if (holds("movers")) kinds.set("movers", "movers");
+  if (live || data.samples.some((one) => one.movers?.scans.length > 1)) kinds.set("ghosts", "ghosts");
   const names = [...kinds.keys()];
   // Side by side, each view shows one of these sets of layers besides those that are checked.
   const shared = (name) => ["points", "rays", "paths", "world", "movers"].includes(kinds.get(name));
@@ -615,7 +615,8 @@
     }
     if (next.error) {
       Object.keys(layers).forEach(drop);
-      [sample, current] = [null, number];
+      [sample, fields, current] = [null, {}, number];
+      timeline();
       which.value = number;
       find("figures").replaceChildren();
       document.body.dataset.sample = current;
@@ -726,7 +727,7 @@
     }
     if (layers.movers) {
       const kind = (name) => fields.movers.filter((mover) => mover.kind === name).length, all = [...new Set(fields.movers.map((mover) => mover.kind))];
-      entry(PLAIN.movers, `movers of the world: ${all.map((name) => `${name} × ${kind(name)}`).join(", ")}`);
+      entry(PLAIN.movers, `movers of the world: ${all.map((name) => `${name} × ${kind(name)}`).join(", ") || "none"}`);
     }
     if (layers.ghosts) entry(PLAIN.ghosts, "ghosts: observed voxels where nothing is at the sample's time");
     if (names.some((name) => /missed|invented/.test(kinds.get(name)) && layers[name])) {
