@@ -8,7 +8,8 @@ docs/sensor.md.
                                     # Debian's chromium
     python docs/gallery.py report   # that of the bench's page, by both, too
 
-`data/geometric` and `data/pillar` are those of `scenegen generate --kind …`.
+`data/geometric` and `data/pillar` are those of `scenegen generate --kind …`; `data/moving` is that
+of `scenegen generate --kind street --movers dense --scans 3`.
 """
 
 import io
@@ -85,6 +86,7 @@ TABS = {
     ),
     "beside": (520, "data/geometric", NETWORKS, f"&layers=paths&views=observed~{WHOSE}~occupancy"),
     "world": (800, "data/pillar", "", "&layers=points~occupancy~world"),
+    "movers": (800, "data/moving", "", ""),
 }
 """The height in pixels, the dataset, the networks and the address of each picture of the page."""
 

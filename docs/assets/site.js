@@ -22,8 +22,8 @@ for (const code of document.querySelectorAll(".md-content table code, .md-conten
   code.replaceChildren(...parts);
 }
 // where the site holds the page itself, it stands in for its picture
-for (const still of document.querySelectorAll("img[src$='look/page.webp']")) {
-  const page = still.src.replace("page.webp", "live.html");
+for (const still of document.querySelectorAll("img[src$='look/page.webp'], img[src$='look/movers.webp']")) {
+  const page = still.src.replace(/webp$/, "html");
   fetch(page, { method: "HEAD" }).then(({ ok }) => {
     const frame = document.createElement("iframe");
     if (ok) still.replaceWith(Object.assign(frame, { src: page, loading: "lazy", title: still.alt }));

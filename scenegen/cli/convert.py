@@ -55,6 +55,8 @@ from scenegen.worlds.cloud import Survey
     "ignores them.",
     label="SemanticKITTI: label of occupied voxels without a class, or with one that it lacks.",
     frame="Frame of points.",
+    future="npz, webdataset, occ3d: add the velocity of each voxel, and occupancy 0.5, 1 and 2 s "
+    "later, of datasets with movers.",
 )
 @executing
 @quiet_option

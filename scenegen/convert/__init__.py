@@ -47,3 +47,6 @@ class Choices(Checked):
     50 is a building. (SemanticKITTI counts its "other" labels as empty.)"""
     frame: Literal["body", "world"] = "body"
     """Frame of points: the body's, or the world's."""
+    future: bool = False
+    """Of datasets with movers: npz, webdataset and occ3d get `flow`, and the first two occupancy
+    0.5, 1 and 2 s later."""

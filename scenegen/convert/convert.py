@@ -14,7 +14,7 @@ from scenegen.base.executors import Counted, Executor, chunked, counted, unheard
 from scenegen.base.files import claim, make_parent, remove_temp_files, write_atomic
 from scenegen.base.workers import ALONE
 from scenegen.convert import FORMATS, Choices
-from scenegen.convert.formats import Classed, OneEach
+from scenegen.convert.formats import FUTURE_S, Classed, OneEach
 from scenegen.dataset.read import AnyDataset, Rows
 from scenegen.draw.sample import Sample
 
@@ -70,12 +70,18 @@ def convert(
         Counts of samples, lines for samples that could not be read, and notes.
 
     Raises:
-        DatasetError: There is no such format, `out` holds another conversion, or the disk fails.
+        DatasetError: There is no such format, the dataset has no movers to tell the future of,
+            `out` holds another conversion, or the disk fails.
     """
     with reraise_as(DatasetError):
         kind = FORMATS.find(to)
     form = kind(choices)
     manifests = [part.manifest for part in dataset.datasets]
+    if choices.future and min(one.schema.after_s for one in manifests) < FUTURE_S[-1]:
+        raise DatasetError(
+            f"{dataset.name}: --future needs courses of movers for {FUTURE_S[-1]} s after each "
+            "sample; generate it with --movers, and with a longer movers.after_s"
+        )
     state = {
         "format": to,
         "choices": asdict(choices),

@@ -5,6 +5,7 @@ import io
 import json
 import tarfile
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from lidarsim import Sensor
 from lidarsim.grid import GridSpec, Ints
 from scenegen.base.errors import DatasetError
 from scenegen.convert import Choices
+from scenegen.draw.movers import field_of
 from scenegen.draw.sample import Sample
 from scenegen.worlds.clouds.write import encode_npz, encode_points
 
@@ -68,6 +70,8 @@ OCC3D = _numbers("""
 16 vegetation trunk
 """)
 """Numbers of classes in Occ3D-nuScenes, of nuScenes' lidarseg; 17 is free."""
+FUTURE_S = (0.5, 1, 2)
+"""How long after a sample's time occupancy is written, seconds."""
 MAX_LISTED = 12
 """Maximum names of classes in a note."""
 
@@ -165,7 +169,8 @@ class Pcd(Ply):
 
 class Npz(OneEach):
     """Every field of the sample under its name, the returns as `points`, the grid's `voxel_m`, and
-    names of `classes` if there are labels; compressed."""
+    names of `classes` if there are labels; compressed. With `Choices.future` also `flow`,
+    `occupancy+0.5` …, see `scenegen.draw.movers.Motion`."""
 
     suffix = ".npz"
 
@@ -182,6 +187,9 @@ class Npz(OneEach):
         fields["voxel_m"] = grid.voxel_m
         if self.classes:
             fields["classes"] = self.classes
+        if self.choices.future:
+            names = ("flow", *(f"occupancy+{after_s}" for after_s in FUTURE_S))
+            fields |= {name: field_of(sample, name) for name in names}
         return encode_npz(fields)
 
 
@@ -276,7 +284,9 @@ class Occ3d(Classed):
     uint8 arrays of the grid's shape: `semantics`; `mask_lidar`, 1 where a ray met or crossed the
     voxel; and `mask_camera`, 1 where the truth is known. There are no cameras: programs that score
     within `mask_camera` score all known voxels. Grids have the sensor at the centre and the world's
-    axes, while Occ3D's begin 1 m below the car's origin and turn with it.
+    axes, while Occ3D's begin 1 m below the car's origin and turn with it. With `Choices.future`,
+    `flow` (*grid.shape, 2) has each voxel's velocity along x and y, m/s, as in OpenOcc's labels of
+    the Occupancy and Flow challenge (github.com/OpenDriveLab/OccNet).
     """
 
     place, suffix = "gts/{split}/{number:06d}/labels", ".npz"
@@ -297,7 +307,10 @@ class Occ3d(Classed):
             "mask_lidar": sample.observed | sample.free,
             "mask_camera": np.ones_like(truth) if sample.known is None else sample.known,
         }
-        return encode_npz({name: values.astype(np.uint8) for name, values in fields.items()})
+        arrays: dict[str, Any] = {name: mask.astype(np.uint8) for name, mask in fields.items()}
+        if self.choices.future:
+            arrays["flow"] = sample.motion.flow()[..., :2]
+        return encode_npz(arrays)
 
 
 DEPTH = 16

@@ -52,10 +52,13 @@ def _difficulty(number: int, sample: Sample) -> float:
     return float(_difficulties(sample)[number])
 
 
-def _ghosts(sample: Sample) -> float:
-    if sample.mover_kind is None:
-        return float("nan")
-    return float((sample.observed & ~sample.occupancy).sum())
+def _moving(measure: Callable[[Any], Any], sample: Sample) -> float:
+    """A measure of samples with movers; NaN for others."""
+    return float("nan") if sample.mover_kind is None else float(measure(sample))
+
+
+def _movers_seen(sample: Any) -> int:
+    return np.unique(sample.return_mover[sample.return_mover >= 0]).size
 
 
 MEASURES: Mapping[str, Callable[[Sample], float]] = {
@@ -67,12 +70,15 @@ MEASURES: Mapping[str, Callable[[Sample], float]] = {
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
     **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
-    "ghosts": _ghosts,
+    "ghosts": partial(_moving, lambda sample: (sample.observed & ~sample.occupancy).sum()),
+    "movers_seen": partial(_moving, _movers_seen),
+    "mover_returns": partial(_moving, lambda sample: (sample.return_mover >= 0).sum()),
 }
 """Measures of a sample, for `inspect` and `take --where`; none is stored. Shares of voxels; the
 share of rays that returned, and their mean range, metres (NaN for none); the mean distance of
 voxels, metres; the difficulty of the map; and, of samples with movers, the number of voxels that
-hold a return of some scan and nothing at the sample's time."""
+hold a return of some scan and nothing at the sample's time, of movers with a return of the sample's
+own scan, and of these returns."""
 COLUMNS = tuple(MEASURES)
 ROW = np.dtype([(name, "<f8") for name in MEASURES])
 """Type of a sample's measures in their file."""

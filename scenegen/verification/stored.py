@@ -209,7 +209,7 @@ def _expect_equal(
     first = tuple(int(n) for n in differing[0]) if len(differing) else ()
     example = f", at {first} {stored[first]} is stored, {expected[first]} expected" if first else ""
     page.fault(
-        f"{sample.where}: {name} is not what follows from {source}: {len(differing)} voxels "
+        f"{sample.where}: {name} is not what follows from {source}: {len(differing)} values "
         f"differ{example}"
     )
 

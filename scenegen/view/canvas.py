@@ -52,6 +52,10 @@ DEEP = 3
 """Distance from the nearest correct voxel at which an error has its full colour, voxels."""
 PALE = 0.3
 """Share of the colour that an error beside a correct voxel has; the rest is white."""
+MOVERS, GHOSTS = (180, 0, 255), (150, 120, 225)
+"""Movers, and observed voxels where nothing is any more. CIE76 ΔE to every other colour, those of
+paths and classes aside, is 39 and 24 at least, with normal sight and without long, middle or short
+cones (Machado et al. 2009)."""
 START, GOAL = (0, 158, 115), (255, 205, 0)
 """Ends of a path."""
 PATHS = dict(zip(("tudf", "occ", "proposed"), scale("1f86e0 f08c00 4f1a96"), strict=True))
@@ -64,6 +68,8 @@ ON_PAGE = {
     "sensor": SENSOR,
     "missed": MISSED,
     "invented": INVENTED,
+    "movers": MOVERS,
+    "ghosts": GHOSTS,
     "start": START,
     "goal": GOAL,
     "deep": DEEP,

@@ -311,6 +311,8 @@ TITLES = {
     "traversability": ("mean way to an obstacle", "robot diameters"),
     "gap": ("mean width of passages", "robot diameters"),
     "ghosts": ("voxels with a return of some scan, and nothing now", ""),
+    "movers_seen": ("movers with a return", ""),
+    "mover_returns": ("returns on movers", ""),
 }
 """Names and units of the measures, for people; shares are shown in %."""
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
+from lidarsim.movers import Movers
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, ScenegenError, printable
 from scenegen.base.files import Json
@@ -59,6 +60,20 @@ class Guess:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Timeline:
+    """Movers, and when they are shown: from the earliest of `scan_times` to `end_s`."""
+
+    movers: Movers
+    """What moves. Its times are seconds on the clock of `scan_times`."""
+    scan_times: Floats
+    """When each scan began (K,), the sample's own first; (0.0,) for a world."""
+    end_s: float
+    """Until when courses are known."""
+    standing: Mask | None = None
+    """Voxels of solids that stand, of the grid's shape; None: all that are occupied."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Look:
     """A sample for display, as far as it could be read. Lengths are metres, positions in the
     world."""
@@ -95,6 +110,8 @@ class Look:
     """True class of each voxel, of the grid's shape, and names of classes; None if unlabelled."""
     film: Json | None = None
     """Curves and ends of the flight that this is a picture of, see `scenegen.model.robots.film`."""
+    timeline: Timeline | None = None
+    """What moves; None without movers."""
     missing: tuple[str, ...] = ()
     """A line for each part that could not be read."""
 
@@ -238,7 +255,23 @@ def look_at(
         scored=read_part("the scored voxels", lambda: scored_voxels(sample, grid, world)),
         fov_deg=field_of_view(scans[0].lidar) if scans else None,
         classes=None if numbers is None else (numbers, classes),
+        timeline=read_part("what moves", lambda: _timeline(sample)),
         missing=tuple(missing),
+    )
+
+
+def _timeline(sample: Any) -> Timeline | None:
+    """Read what moves in a `Sample`. Raises DatasetError if it is damaged."""
+    if sample.mover_kind is None:
+        return None
+    # compiles: not for those who only show samples
+    from scenegen.draw.movers import stored_movers
+
+    movers, times, end_s = stored_movers(sample), sample.scan_times, sample.course_end
+    if not np.isfinite([*times, end_s]).all():
+        raise DatasetError("scan_times or course_end are not finite; verify the dataset")
+    return Timeline(
+        movers=movers, scan_times=times, end_s=float(end_s), standing=sample.static_occupancy
     )
 
 

@@ -18,7 +18,7 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.limits import MAX_ASSET_BYTES
 from scenegen.base.paths import is_map
 from scenegen.base.reading import read_bounded
-from scenegen.view.look import Look, evenly
+from scenegen.view.look import Look, Timeline, evenly
 
 MAX_POINTS = 150_000
 """Maximum points of a scan on a page, which draws each as a dot; more are thinned."""
@@ -163,10 +163,15 @@ def looks_of_world(path: Path) -> list[Look]:
     """
     from scenegen.draw.source import read_world
     from scenegen.worlds.place import Place
+    from scenegen.worlds.world import World, movers_in
 
     # a map in which no sensor can be is a map to look at
-    mapped = is_map(path) and Place(str(path), read_bounded(path, MAX_ASSET_BYTES))
-    return [look_of_world(mapped or read_world(path), path.name)]
+    if is_map(path):
+        return [look_of_world(Place(str(path), read_bounded(path, MAX_ASSET_BYTES)), path.name)]
+    world = read_world(path)
+    if path.suffix == ".xml" and isinstance(world, World):
+        world = replace(world, movers=movers_in(path))
+    return [look_of_world(world, path.name)]
 
 
 def look_of_world(world: Any, name: str) -> Look:
@@ -181,6 +186,7 @@ def look_of_world(world: Any, name: str) -> Look:
 
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
+    timeline = None
     if isinstance(world, Place):
         corners = world.voxels.bounds
     elif isinstance(world, World):
@@ -192,6 +198,8 @@ def look_of_world(world: Any, name: str) -> Look:
         heights = [*bounded[:, 2], *solids.triangles.reshape(-1, 3)[:, 2]]
         corners[0, 2] = min([corners[0, 2], *heights])
         surfaces = surfaces_of(world)
+        if movers := world.movers:
+            timeline = Timeline(movers=movers, scan_times=np.zeros(1), end_s=movers.period_s)
     grid, origin = box_around(*corners)
     truth = world.truth(grid, origin)
     masks = {"occupancy": truth["occupancy"]}
@@ -206,6 +214,7 @@ def look_of_world(world: Any, name: str) -> Look:
         masks=masks,
         known=truth.get("known"),
         surfaces=surfaces,
+        timeline=timeline,
     )
 
 

@@ -23,6 +23,7 @@
   const PLAIN = {
     observed: [230, 75, 0], free: [120, 190, 230], unknown: [196, 176, 140], missed: data.colours.missed,
     invented: dark ? [235, 235, 235] : data.colours.invented, // which a dark ground would hide
+    movers: data.colours.movers, ghosts: data.colours.ghosts,
   };
   const RAYS = [70, 110, 150];
   // Okabe and Ito (2008), which colour-blind readers tell apart, then Tol's light colours; in the
@@ -53,9 +54,11 @@
   }
   if (methods.size) kinds.set("paths", "paths");
   if (holds("triangles")) kinds.set("world", "world");
+  if (holds("movers")) kinds.set("movers", "movers");
+  if (live || data.samples.some((one) => one.movers?.scans.length > 1)) kinds.set("ghosts", "ghosts");
   const names = [...kinds.keys()];
   // Side by side, each view shows one of these sets of layers besides those that are checked.
-  const shared = (name) => ["points", "rays", "paths", "world"].includes(kinds.get(name));
+  const shared = (name) => ["points", "rays", "paths", "world", "movers"].includes(kinds.get(name));
   const sets = new Map(names.filter((name) => !shared(name)).map((name) => [name, [name]]));
   for (const name of methods.keys()) sets.set(`${name}: errors`, [name, `${name}: missed`, `${name}: invented`]);
   // What the page tells first, and what its buttons tell next: sets of layers.
@@ -66,14 +69,14 @@
     if (known.length) stories[name] = known;
   };
   const routed = data.samples.some((one) => one.guesses.some((guess) => guess.route));
-  if (!kinds.has("observed")) story("truth", ...(kinds.has("world") ? ["world"] : ["occupancy"]));
-  if (kinds.has("observed")) story("seen", "observed", kinds.has("occupancy") ? "occupancy" : "points");
+  if (!kinds.has("observed")) story("truth", ...(kinds.has("world") ? ["world"] : ["occupancy"]), "movers");
+  if (kinds.has("observed")) story("seen", "observed", kinds.has("occupancy") ? "occupancy" : "points", "movers", "ghosts");
   // what a method doubts is transparent, where it says so
   const doubted = live || data.samples.some((one) => one.guesses.some((guess) => guess.name === first && guess.chance));
   if (methods.size) story("believed", "observed", doubted ? `${first}: doubt` : first, "paths");
   if (methods.size && kinds.has("occupancy")) story("wrong", ...sets.get(`${first}: errors`), "paths");
-  if (methods.size && (live || routed)) story("planned", "occupancy", "paths");
-  if (kinds.has("observed") && kinds.has("occupancy")) story("truth", "occupancy");
+  if (methods.size && (live || routed)) story("planned", "occupancy", "movers", "paths");
+  if (kinds.has("observed") && kinds.has("occupancy")) story("truth", "occupancy", "movers");
   const opening = (data.film && stories.believed) || [...Object.values(stories)[0] ?? [], "paths"];
   const shown = new Set(told.get("layers")?.split("~").filter((name) => kinds.has(name)) ?? opening);
   const layers = {};
@@ -123,7 +126,9 @@
       if (box.checked && kind === "distances") names.forEach((other, m) => { // which this one would hide
         if (other !== name && kinds.get(other) === kind && shown.has(other)) boxes[m].click();
       });
-      if (sample) (name === "observed" ? names.filter((one) => /observed|occupancy|predicted/.test(kinds.get(one))) : [name]).forEach(fill);
+      // what is drawn otherwise beside this layer
+      const beside = { observed: /observed|occupancy|predicted/, movers: /movers|occupancy/, world: /world|movers/ }[name];
+      if (sample) (beside ? names.filter((one) => beside.test(kinds.get(one))) : [name]).forEach(fill);
     };
     if (kind === "predicted") {
       const line = Object.assign(make("i"), { className: "line", title: "colour of its path" });
@@ -235,7 +240,7 @@
       ? (x, y, z) => z < nz && bit(bits, x, y, z) && !touches(right, x, y, z)
       : (x, y, z) => z < nz && bit(bits, x, y, z);
     const half = /occupancy|predicted/.test(kind) && shown.has("observed"), clear = CLEAR[kind] ?? (half ? 0.5 : 1);
-    const size = kind in CLEAR ? 0.9 : kind in PLAIN ? 1.02 : 0.98; // outer ones win
+    const size = kind in CLEAR ? 0.9 : kind === "ghosts" ? 1.04 : kind in PLAIN ? 1.02 : 0.98; // outer ones win
     const heights = tints(), plain = PLAIN[kind] && rgb(PLAIN[kind]);
     const paint = (tint, x, y, z) => void tint.copy(right ? wrong(PLAIN[kind], right, x, y, z) : plain ?? heights[z]);
     return cubes(cellsWhere(level), level, paint, size, { transparent: clear < 1, opacity: clear, depthWrite: !(kind in CLEAR) });
@@ -325,6 +330,64 @@
     return all.children.length && all;
   }
 
+  // Movers are drawn as their solids, where their courses have them at a moment: exactly.
+  const SOLIDS = { // by MuJoCo's code of the shape, of its sizes
+    3: (radius, half) => new THREE.CapsuleGeometry(radius, 2 * half, 8, 24).rotateX(Math.PI / 2),
+    4: (...radii) => new THREE.SphereGeometry(1, 32, 16).rotateX(Math.PI / 2).scale(...radii),
+    6: (...halves) => new THREE.BoxGeometry(...halves.map((half) => 2 * half)),
+  };
+  let moment = 0; // seconds after the sample's own time
+  // Place and heading of a mover: polynomials of the seconds since a piece of its course began.
+  function poseOf({ begin_s: begins, course }) {
+    const { now, period } = sample.movers, time = now + moment, since = period ? time - period * Math.floor(time / period) : time;
+    const piece = Math.max(begins.findLastIndex((begin) => begin <= since), 0), [x, y, z, ahead, aside] = [0, 4, 8, 12, 16].map((at) =>
+      course[piece].slice(at, at + 4).reduceRight((sum, factor) => sum * (since - begins[piece]) + factor, 0));
+    return { place: [x, y, z].map((value, n) => value - sample.origin[n]), turn: Math.atan2(aside, ahead) };
+  }
+  function movers() {
+    const all = new THREE.Group(), size = sample.shape.map((count) => count * sample.voxel);
+    // beyond the map they are left out, as all else is but the world
+    const walls = shown.has("world") ? [] : [0, 1, 2].flatMap((axis) => [1, -1].map((sign) =>
+      new THREE.Plane(new THREE.Vector3().setComponent(axis, sign), sign > 0 ? 0 : size[axis])));
+    const material = new THREE.MeshLambertMaterial({ color: rgb(PLAIN.movers), side: THREE.DoubleSide, clippingPlanes: [below, ...walls] });
+    for (const mover of fields.movers) {
+      const body = new THREE.Group();
+      for (const [shape, a, b, c, ...centre] of mover.solids) {
+        const part = new THREE.Mesh(SOLIDS[shape](a, b, c), material);
+        part.position.set(...centre);
+        body.add(part);
+      }
+      all.add(Object.assign(body, { userData: mover }));
+    }
+    return all;
+  }
+  function at(time) {
+    if (!fields.movers) return;
+    const { scans, end } = sample.movers;
+    moment = Math.min(Math.max(time, Math.min(...scans)), end);
+    find("moment").value = moment;
+    find("moment-at").textContent = `${moment.toFixed(2)} s${moment || !sample.sensor ? "" : ", the sample"}`;
+    document.body.dataset.moment = moment.toFixed(2);
+    for (const body of layers.movers?.children ?? []) {
+      const { place, turn } = poseOf(body.userData);
+      body.position.set(...place);
+      body.rotation.z = turn;
+      if (body === layers.movers.children[0]) document.body.dataset.mover = [...place, turn].map((one) => one.toFixed(4)).join(" ");
+    }
+    keep();
+    draw();
+  }
+  find("moment").oninput = ({ target }) => at(+target.value);
+  function timeline() {
+    find("moment-row").hidden = !fields.movers;
+    if (!fields.movers) return;
+    const { scans, end } = sample.movers;
+    Object.assign(find("moment"), { min: Math.min(...scans), max: end });
+    find("scans").replaceChildren(...scans.map((value) => Object.assign(make("option"), { value })));
+    at(+told.get("time") || 0);
+    told.delete("time"); // once
+  }
+
   // The world's solids are asked for when they are to be seen.
   async function solids() {
     const of = fields;
@@ -387,6 +450,8 @@
       return new THREE.Points(shape, new THREE.PointsMaterial({ color: ink, size: 3, sizeAttenuation: false, clippingPlanes: [below] }));
     }
     if (name === "rays" && fields.points) return lines(fields.sensor, fields.points.subarray(0, 3 * sample.own), rgb(RAYS), 0.25);
+    if (name === "movers") return fields.movers && movers();
+    if (name === "occupancy" && fields.standing && shown.has("movers")) return voxels(fields.standing, name);
     return fields.masks[name] && voxels(fields.masks[name], name);
   }
 
@@ -407,7 +472,8 @@
     drop(name);
     const made = renderer && wanted(name) && built(name);
     if (made) scene.add(layers[name] = made);
-    if (/classes|doubt|missed|invented/.test(kinds.get(name))) legend();
+    if (name === "movers") at(moment);
+    if (/classes|doubt|missed|invented|movers|ghosts/.test(kinds.get(name))) legend();
     const axis = +find("axis").value, level = +find("level").value;
     find("at").textContent = `${(sample.origin[axis] + (level + 0.5) * sample.voxel).toFixed(2)} m`;
     document.body.dataset.layers = Object.keys(layers).sort().join(" ");
@@ -445,6 +511,7 @@
     keeping = setTimeout(() => {
       const place = [...camera.position.toArray(), ...controls.target.toArray()].map((one) => +one.toFixed(3));
       const now = new URLSearchParams({ sample: current, layers: [...shown].join("~"), camera: place.join("~") });
+      if (fields.movers && moment) now.set("time", moment.toFixed(3));
       if (panes.length) now.set("views", panes.join("~"));
       if (live) now.set("dataset", find("dataset").value), now.set("split", find("split").value);
       try { history.replaceState(null, "", `#${now}`); } catch { /* a notebook's frame has no address */ }
@@ -490,7 +557,7 @@
     URL.revokeObjectURL(link.href);
   }
   find("png").onclick = () => canvas.toBlob((blob) => save(blob, `sample-${current}.png`));
-  // The film is of all samples from this one on, as they play.
+  // The film is of what plays: all samples from this one on, or the time of its movers.
   find("film").hidden = !globalThis.MediaRecorder;
   find("film").onclick = async () => {
     const recorder = new MediaRecorder(canvas.captureStream(30)), parts = [], first = current;
@@ -498,7 +565,9 @@
     recorder.onstop = () => save(new Blob(parts, { type: recorder.mimeType }), `samples-${first}.webm`);
     recorder.start();
     draw();
+    filming = true;
     await play();
+    filming = false;
     recorder.stop();
   };
 
@@ -546,7 +615,8 @@
     }
     if (next.error) {
       Object.keys(layers).forEach(drop);
-      [sample, current] = [null, number];
+      [sample, fields, current] = [null, {}, number];
+      timeline();
       which.value = number;
       find("figures").replaceChildren();
       document.body.dataset.sample = current;
@@ -577,6 +647,11 @@
       const whole = new Int16Array((await unpack(next.points)).buffer);
       found.points = Float32Array.from(whole, (value, n) => (value / 32767) * next.reach + found.sensor[n % 3]);
     }
+    if (next.movers) {
+      found.movers = JSON.parse(new TextDecoder().decode(await unpack(next.movers.table)));
+      found.standing = next.movers.standing && await unpack(next.movers.standing);
+      if (next.movers.scans.length > 1 && observed && occupancy) found.masks.ghosts = observed.map((byte, n) => byte & ~occupancy[n]);
+    }
     if (next.triangles) found.solids = new Float32Array((await unpack(next.triangles)).buffer);
     if (mine !== turn) return;
     const first = !placed || `${sample?.shape}` !== `${next.shape}`, levels = sample?.shape[+find("axis").value];
@@ -585,12 +660,16 @@
     names.forEach((name, n) => { // what this sample lacks is no choice
       const kind = kinds.get(name);
       if (kind === "classes") boxes[n].parentElement.hidden = !fields.classes;
+      if (kind === "movers") boxes[n].parentElement.hidden = !fields.movers;
+      if (kind === "ghosts") boxes[n].parentElement.hidden = !fields.masks.ghosts;
       if (kind === "doubt") boxes[n].parentElement.hidden = !fields.chance[owners.get(name)];
     });
     if (levels !== sample.shape[+find("axis").value]) middle();
     placeCut();
     frame();
+    moment = 0;
     names.forEach(fill);
+    timeline();
     const said = {
       sample: sample.name,
       ...(sample.sensor && {
@@ -637,12 +716,20 @@
     if (names.some((name) => kinds.get(name) === "doubt" && layers[name]) && Object.keys(fields.chance).length) {
       parts.push(...bar("doubt: as opaque as probable", [[...ground, 0.1], [...data.colours.heights[5], 1]], "10 %", "100 %"));
     }
-    if (layers.classes) for (const [name, count] of [...fields.classes.counts].sort((one, other) => other[1] - one[1])) {
+    const entry = (colour, words) => {
       const line = make("label"), swatch = make("i");
-      swatch.style.background = `rgb(${classColour(name)})`;
-      line.append(swatch, make("span", `${name}, ${count} voxels`));
+      swatch.style.background = `rgb(${colour})`;
+      line.append(swatch, make("span", words));
       parts.push(line);
+    };
+    if (layers.classes) for (const [name, count] of [...fields.classes.counts].sort((one, other) => other[1] - one[1])) {
+      entry(classColour(name), `${name}, ${count} voxels`);
     }
+    if (layers.movers) {
+      const kind = (name) => fields.movers.filter((mover) => mover.kind === name).length, all = [...new Set(fields.movers.map((mover) => mover.kind))];
+      entry(PLAIN.movers, `movers of the world: ${all.map((name) => `${name} × ${kind(name)}`).join(", ") || "none"}`);
+    }
+    if (layers.ghosts) entry(PLAIN.ghosts, "ghosts: observed voxels where nothing is at the sample's time");
     if (names.some((name) => /missed|invented/.test(kinds.get(name)) && layers[name])) {
       parts.push(make("div", "Errors that touch a voxel that is right are counted, but not drawn."));
     }
@@ -685,10 +772,28 @@
     offer(told.get("split") ?? live.split);
   }
   // Samples follow one another, five a second where the browser can, as a flight's moments do.
-  let playing = false;
+  // Where a sample has movers, their time plays, over and over; a film ends with it.
+  let playing = false, filming = false;
+  async function run() {
+    const { scans, end } = sample.movers, of = fields;
+    if (moment >= end) at(Math.min(...scans));
+    for (let before = performance.now(); playing && of === fields;) {
+      await new Promise(requestAnimationFrame);
+      const now = performance.now(), next = moment + (now - before) / 1000;
+      before = now;
+      if (of !== fields) break; // another sample was asked for meanwhile
+      at(next > end && !filming ? Math.min(...scans) : next);
+      if (next > end && filming) break;
+    }
+  }
   async function play() {
     find("film").disabled = playing = !playing;
     find("play").textContent = playing ? "❚❚" : "▶▶";
+    if (playing && fields.movers) {
+      await run();
+      if (playing) await play();
+      return;
+    }
     if (playing && current >= count() - 1) await show(0);
     while (playing && current < count() - 1) {
       const due = performance.now() + 200, at = current;
@@ -762,7 +867,7 @@
   };
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, #number")) return;
-    if (event.key === " " && event.target.matches("button, input")) return; // which it presses
+    if (event.key === " " && event.target.matches("button, input:not([type=range])")) return; // which it presses
     if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act) act();

@@ -34,7 +34,16 @@ from scenegen.base.errors import DatasetError, ScenegenError, printable
 from scenegen.base.files import Json
 from scenegen.dataset.read import AnyDataset, Split
 from scenegen.view.canvas import ON_PAGE, path_colours
-from scenegen.view.look import MASKS, Guess, Guesses, Look, incomplete, look_into, title_of
+from scenegen.view.look import (
+    MASKS,
+    Guess,
+    Guesses,
+    Look,
+    Timeline,
+    incomplete,
+    look_into,
+    title_of,
+)
 
 MAX_VOXELS = 1 << 22
 """Maximum voxels of a grid on a page: a browser needs seconds to make so many cubes."""
@@ -163,6 +172,8 @@ def packed(look: Look) -> Json:
         optional["classes"] = {"names": names, "voxels": _gzip64(numbers.astype("<u2").tobytes())}
     if look.surfaces:
         optional |= packed_world(look.surfaces, look.origin)
+    if look.timeline is not None:
+        optional["movers"] = _packed_movers(look.timeline)
     return {
         "name": look.name,
         "sensor": look.has_sensor,
@@ -195,6 +206,24 @@ def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
         np.concatenate([mesh.triangles for mesh in surfaces] or [np.empty((0, 3, 3))]) - origin
     )
     return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
+
+
+def _packed_movers(timeline: Timeline) -> Json:
+    """Encode movers for the page's script, which evaluates their courses. Times but `now` are
+    seconds after it."""
+    from scenegen.worlds.movers import entries_of
+
+    movers, now_s = timeline.movers, float(timeline.scan_times[0])
+    entry: Json = {
+        "now": now_s,
+        "scans": (timeline.scan_times - now_s).tolist(),
+        "end": timeline.end_s - now_s,
+        "period": movers.period_s if math.isfinite(movers.period_s) else None,
+        "table": _gzip64(json.dumps(entries_of(movers)).encode()),
+    }
+    if timeline.standing is not None:
+        entry["standing"] = _bits(timeline.standing)
+    return entry
 
 
 def _packed_guess(guess: Guess, look: Look) -> Json:

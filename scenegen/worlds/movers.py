@@ -436,6 +436,24 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
     Returns:
         The document, whose solids are the same.
     """
+    table = {"period_s": movers.period_s, "movers": entries_of(movers)}
+    text = json.dumps(table, separators=(",", ":"))
+    element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
+    before, _, after = mjcf.rpartition(b"</mujoco>")
+    return before + element.encode() + after
+
+
+def entries_of(movers: Movers) -> list[dict[str, Any]]:
+    """Describe movers by what JSON can hold.
+
+    Args:
+        movers: The movers.
+
+    Returns:
+        Of each its `kind`; its `solids` (n, 7): MuJoCo's code of the shape, three sizes, and the
+        centre in the mover's frame, metres; `begin_s` (P,) of the pieces of its course; and their
+        `course` (P, CHANNELS * COEFFICIENTS).
+    """
     entries = []
     for m, kind in enumerate(movers.kind.tolist()):
         own, (first, last) = movers.owner == m, movers.piece_start[m : m + 2].tolist()
@@ -448,10 +466,7 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
                 "course": movers.course[first:last].reshape(last - first, -1).tolist(),
             }
         )
-    text = json.dumps({"period_s": movers.period_s, "movers": entries}, separators=(",", ":"))
-    element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
-    before, _, after = mjcf.rpartition(b"</mujoco>")
-    return before + element.encode() + after
+    return entries
 
 
 def read_text(text: str) -> Movers:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -234,6 +235,23 @@ def _movers_of(model: mujoco.MjModel) -> Movers | None:
     first, size = int(model.text_adr[number]), int(model.text_size[number])
     # MuJoCo ends texts by a zero byte
     return read_text(bytes(model.text_data[first : first + size - 1]).decode())
+
+
+def movers_in(path: Path) -> Movers | None:
+    """Read the movers of a document of ours, which worlds from files leave out.
+
+    Args:
+        path: An MJCF file.
+
+    Returns:
+        The movers; None without.
+
+    Raises:
+        SceneError: If they are damaged.
+    """
+    with quiet_mujoco(), reraise_as(SceneError, f"{path}: "):
+        text = mujoco.MjSpec.from_file(str(path)).text(TEXT)
+        return None if text is None else read_text(text.data)
 
 
 def populated(

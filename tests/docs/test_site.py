@@ -37,7 +37,9 @@ def test_the_record_of_work_is_not_on_the_site(site):
     assert not (site / "log").exists()
 
 
-def test_the_site_holds_the_page_that_it_shows(site):
-    shown = (site / "pictures" / "look" / "live.html").read_text()
+@pytest.mark.parametrize("name", ["page", "movers"])
+def test_the_site_holds_the_pages_that_it_shows(site, name):
+    shown = (site / "pictures" / "look" / f"{name}.html").read_text()
     assert shown.count('"name": "world ') == 3
-    assert "live.html" in (site / "assets" / "site.js").read_text()
+    assert ('"movers": {' in shown) == (name == "movers")
+    assert f"look/{name}.webp" in (site / "assets" / "site.js").read_text()

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.base.errors import DatasetError
+from scenegen.dataset.selection import MEASURES
 from scenegen.draw.draw import truth_of
 from scenegen.worlds.recipe import read_recipe
 from scenegen.worlds.tables import named_lidar
@@ -130,13 +131,20 @@ def test_a_sample_without_movers_says_so():
 
 
 @pytest.fixture(scope="module")
-def made(once):
+def moving(once):
     recipe = moving_recipe(mapping={"scans": 3})
     return once("moving_samples", lambda folder: dataset_in(folder / "d", recipe)) / "d"
 
 
-def test_a_dataset_with_movers_passes_every_check(made):
-    assert failed(made) == {}
+def test_a_dataset_with_movers_passes_every_check(moving):
+    assert failed(moving) == {}
+
+
+def test_measures_count_movers(moving):
+    for sample in scenegen.load(moving):
+        hit = [number for number in sample.return_mover.ravel().tolist() if number >= 0]
+        assert MEASURES["mover_returns"](sample) == len(hit)
+        assert MEASURES["movers_seen"](sample) == len(set(hit))
 
 
 @pytest.mark.parametrize("scans", [1, 3])
@@ -173,9 +181,9 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("case", HOSTILE)
-def test_hostile_tables_are_found_and_harm_nobody(made, tmp_path, case):
+def test_hostile_tables_are_found_and_harm_nobody(moving, tmp_path, case):
     name, value = HOSTILE[case]
-    folder = forge.copy(made, tmp_path / "d")
+    folder = forge.copy(moving, tmp_path / "d")
     forge.edit(folder, "train-00000.h5", lambda arrays: arrays[name].__setitem__(..., value))
     assert "examining it ended in" not in " ".join(failed(folder).values())
     for sample in scenegen.load(folder):
@@ -184,8 +192,8 @@ def test_hostile_tables_are_found_and_harm_nobody(made, tmp_path, case):
                 act(sample)
 
 
-def test_archives_without_movers_are_named(made, tmp_path, capsys):
-    folder = forge.copy(made, tmp_path / "d")
+def test_archives_without_movers_are_named(moving, tmp_path, capsys):
+    folder = forge.copy(moving, tmp_path / "d")
 
     def without_text(members):
         for name, mjcf in members.items():
@@ -211,9 +219,9 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_change_of_a_field_is_found(made, tmp_path, name):
+def test_a_change_of_a_field_is_found(moving, tmp_path, name):
     check, change = CHANGES[name]
-    folder = forge.copy(made, tmp_path / "d")
+    folder = forge.copy(moving, tmp_path / "d")
     forge.edit(folder, "train-00000.h5", lambda arrays: change(arrays[name]))
     assert {check, "digest"} <= failed(folder).keys()
 
@@ -227,9 +235,9 @@ def test_digests_do_not_depend_on_workers(tmp_path, small, capsys):
     assert digests[0] == digests[1]
 
 
-def test_movers_of_a_dataset_are_scanned_again_to_the_bit(made, tmp_path, capsys):
-    done(capsys, f"generate --like {made} --quiet -o {tmp_path}/again")
-    first, second = (scenegen.load(folder)[0] for folder in (made, tmp_path / "again"))
+def test_movers_of_a_dataset_are_scanned_again_to_the_bit(moving, tmp_path, capsys):
+    done(capsys, f"generate --like {moving} --quiet -o {tmp_path}/again")
+    first, second = (scenegen.load(folder)[0] for folder in (moving, tmp_path / "again"))
     assert first.sha256() == second.sha256()
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import sys
+import tarfile
 
 import h5py
 import numpy as np
@@ -22,8 +23,10 @@ from scenegen.worlds.place import parse_octomap
 from tests.command_line import done, python, refused, run
 from tests.conftest import contents
 from tests.refusals import refuses
+from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
+FUTURE = ("occupancy+0.5", "occupancy+1", "occupancy+2")
 MASKS = ("observed", "free", "occupancy")
 
 
@@ -42,6 +45,25 @@ def unpacked(content, shape):
     """Bits as the development kit unpacks them: the first voxel is the highest."""
     bits = np.unpackbits(np.frombuffer(content, np.uint8))
     return bits[: np.prod(shape)].reshape(shape)
+
+
+@pytest.mark.parametrize("to", ["npz", "webdataset", "occ3d"])
+def test_the_future_of_movers(moving, tmp_path, to):
+    out = converted(moving, tmp_path / "out", to, split="train", future=True)
+    if to == "webdataset":
+        with tarfile.open(out / "train-000000.tar") as file:
+            file.extractall(out, filter="data")
+    files = sorted(out.rglob("*.npz"))
+    for path, sample in zip(files, Dataset(moving).split("train"), strict=True):
+        arrays, flow = np.load(path), sample.motion.flow()
+        assert_array_equal(arrays["flow"], flow[..., :2] if to == "occ3d" else flow)
+        for name in () if to == "occ3d" else FUTURE:
+            expected = sample.motion.occupancy(float(name.partition("+")[2]))
+            assert_array_equal(arrays[name], expected)
+
+
+def test_without_movers_there_is_no_future(made, tmp_path):
+    refuses("--future", converted, made, tmp_path / "out", "npz", future=True)
 
 
 @pytest.mark.parametrize("unseen", [False, True])

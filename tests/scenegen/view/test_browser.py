@@ -6,11 +6,14 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
+from scenegen.dataset.read import Dataset
 from scenegen.view.live import view_live
 from scenegen.view.look import Guess, Look, Route
 from scenegen.view.page import page
+from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 from tests.scenegen.view.test_live import running as running  # a fixture
 from tests.scenegen.view.test_live import served
 from tests.scenegen.view.test_page import HOSTILE
@@ -222,6 +225,35 @@ def test_the_camera_follows_until_it_is_turned(browser, film):
     tab.mouse.up()
     assert tab.locator("#camera").input_value() == "free"
     assert complaints == []
+
+
+def test_movers_play(browser, moving):
+    sample = Dataset(moving).split("train")[0]
+    movers, now = sample.motion.movers, sample.scan_times[0]
+
+    def mover(after_s):
+        (place, *_), ((x, y), *_), *_ = movers.poses(now + after_s)
+        return [*(place - sample.origin), np.arctan2(y, x)]
+
+    with served(moving) as server:
+        tab, complaints = reached(browser, f"{server.address}#split=train")
+        assert {"movers", "ghosts", "observed"} <= set(drawn(tab))
+        tab.get_by_role("button", name="truth").click()
+        assert drawn(tab) == ["movers", "occupancy"]
+        assert "movers of the world: person" in tab.locator("#legend").inner_text()
+        seen = []
+        for after_s in (0.0, float(sample.scan_times.min() - now), 1.25):
+            tab.locator("#moment").fill(str(after_s))
+            assert_allclose(np.array(state(tab, "mover").split(), float), mover(after_s), atol=1e-4)
+            seen.append(tab.evaluate(PIXELS))
+        tab.wait_for_url("**time=1.250*")
+        assert seen[0] != seen[2]
+        tab.keyboard.press("Space")
+        tab.wait_for_selector("body[data-moment^='-']", state="attached")  # the begin, again
+        tab.keyboard.press("Space")
+        tab.locator("#next").click()
+        tab.wait_for_selector("body[data-sample='1']", state="attached")
+        assert (state(tab, "moment"), complaints) == ("0.00", [])
 
 
 def test_a_running_simulation_is_drawn_live(browser, running):

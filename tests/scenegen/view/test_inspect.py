@@ -38,6 +38,9 @@ weight = 1
 SHARES = {"occupied": "occupancy", "observed": "observed", "free": "free"}
 SHOWN = {*SHARES, "unknown", "returned", "range_m", "tudf_m", *Difficulty._fields}
 
+MOVING = {"ghosts", "movers_seen", "mover_returns"}
+"""Measures that samples without movers lack."""
+
 
 def fields(folder, split):
     """All samples of a split, as its files hold them."""
@@ -57,8 +60,8 @@ def check(statistics, stored, chosen):
         row["tudf_m"] = sample["tudf"].mean(dtype=np.float64)
         row |= difficulty(sample["occupancy"].astype(bool), sample["tudf"], 0.2)._asdict()
         rows.append(row)
-    assert set(statistics) == {*SHOWN, "ghosts"}
-    assert set(statistics.pop("ghosts").values()) == {None}
+    assert set(statistics) == {*SHOWN, *MOVING}
+    assert {value for name in MOVING for value in statistics.pop(name).values()} == {None}
     for key, figures in statistics.items():
         values = np.array([row[key] for row in rows])
         values = values[~np.isnan(values)]

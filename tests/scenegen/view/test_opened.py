@@ -13,14 +13,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from scenegen.base.paths import TYPES, what_is
+from scenegen.dataset.archive import write_extracted
+from scenegen.dataset.read import Dataset
 from scenegen.draw.source import read_world
 from scenegen.logs import LogScan
 from scenegen.logs.record import write_log
 from scenegen.view import opened
 from scenegen.view.notebook import page_of, show
+from scenegen.worlds.movers import entries_of
 from scenegen.worlds.place import encode_map
 from tests.command_line import done, refused
 from tests.scenegen import refuses
+from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 
 ROOT = Path(__file__).parents[3]
 POINTS = np.array([[3.0, 0.0, 0.5], [0.0, -2.0, 1.5], [1.0, 1.0, -1.0]])
@@ -132,6 +136,15 @@ def test_a_world_is_shown_with_its_surfaces():
     corners = np.frombuffer(gzip.decompress(base64.b64decode(sample["triangles"])), "<f4")
     assert len(corners) == sum(mesh.triangles.size for mesh in look.surfaces)
     assert sample["sensor"] is False
+
+
+def test_a_world_of_ours_shows_its_movers(moving, tmp_path):
+    path, dataset = tmp_path / "world.xml", Dataset(moving)
+    write_extracted(dataset.world("train", 0), path)
+    (look,) = opened.looks_of_world(path)
+    movers = dataset.compile("train", 0).movers
+    assert entries_of(look.timeline.movers) == entries_of(movers)
+    assert look.timeline.end_s == movers.period_s == 32.0
 
 
 @pytest.mark.parametrize("low", [(0.0, 0.0, 0.0), (-7.3, 1e3, 0.01)])

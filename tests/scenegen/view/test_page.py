@@ -18,6 +18,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.view.look import Guess, field_of_view, look_at, looks
 from scenegen.view.page import HERE, page
 from tests.refusals import refuses, refuses_command
+from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%%DATA%%&amp;\u2028"
 
@@ -82,6 +83,33 @@ def test_classes_and_doubt_are_in_the_page(look, rng):
     assert packed["classes"]["names"] == [*names]
     shares = np.frombuffer(unpacked(packed["guesses"][0]["chance"]), np.uint8) / 255
     assert_allclose(shares, chance.ravel(), atol=1 / 509)
+
+
+def test_movers_follow_their_courses(moving):
+    """As the script evaluates them; and they are a small part of a page."""
+    split = Dataset(moving).split("train")
+    shown, _ = looks(split.dataset, "train", range(len(split)))
+    samples = Seen(page(shown, title="")).data()["samples"]
+    for packed, sample in zip((one["movers"] for one in samples), split, strict=True):
+        bits = np.unpackbits(np.frombuffer(unpacked(packed["standing"]), np.uint8))
+        assert_array_equal(bits, sample.static_occupancy.ravel())
+        assert_allclose(packed["scans"], sample.scan_times - packed["now"])
+        for time in packed["now"] + np.array([min(packed["scans"]), 0.0, packed["end"]]):
+            places = []
+            for mover in json.loads(unpacked(packed["table"])):
+                n = np.searchsorted(mover["begin_s"], time, side="right") - 1
+                since = (time - mover["begin_s"][n]) ** np.arange(4)
+                places.append((np.reshape(mover["course"][n], (5, 4)) @ since)[:3])
+            assert_allclose(places, sample.motion.movers.poses(time)[0], atol=1e-9)
+        assert len(json.dumps(packed)) < 20_000
+
+
+def test_what_moves_in_damage_is_left_out(moving):
+    sample = Dataset(moving).split("train")[0]
+    sample.__dict__["scan_times"] = np.full(3, np.nan)
+    shown = look_at(sample, sample.grid, sample.lidar, "train 0")
+    assert shown.timeline is None
+    assert "what moves is not shown" in shown.missing[0]
 
 
 def test_the_field_of_view_is_that_of_the_rays():
