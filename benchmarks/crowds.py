@@ -17,7 +17,7 @@ import numpy as np
 from scoring import RESULTS, publish, titled, told
 from tyro.conf import Positional
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Ints
 from scenegen.base.workers import ALONE
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course, read_recording
@@ -29,6 +29,8 @@ from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 DENSITIES = ("light", "medium", "dense")
 KINDS = ("industrial", "maze", "rooms", "street", "warehouse")
 VEHICLE = Vehicle(radius_m=0.2, speed_mps=4, acceleration_mps2=6, tilt_deg=45)
+FLIGHTS = 2
+"""Through each world of a density."""
 RULES = Rules(apart_m=12, patience=20)
 ROBOTS = ("optimistic", "forgetting", "predicting", "truth", "foreseeing")
 FIGURES: dict[str, Callable[[Flown], float]] = {
@@ -55,6 +57,8 @@ class Options(measuring.Options):
     """folder of the recordings"""
     worlds: int = 10
     """of each kind and density"""
+    seed: int = 6000
+    """of the first of them"""
     lidar: str = "raster"
     densities: tuple[str, ...] = DENSITIES
     figures: Path = RESULTS / "movers.csv"
@@ -62,7 +66,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them beside the page."""
-    given = measuring.parse(Options, worlds=1, densities=("light",))
+    given = measuring.parse(Options, worlds=1, seed=9000, densities=("light",))
     robots = [
         name + BRAKES * brakes
         for name, brakes in product(ROBOTS, (False, True))
@@ -75,7 +79,7 @@ def main() -> None:
             (density, name): flown(folder, density, name, given)
             for density, name in product(given.densities, robots)
         }
-    worlds = np.arange(len(KINDS) * given.worlds)
+    worlds = np.repeat(np.arange(len(KINDS) * given.worlds), FLIGHTS)
     figures = {
         key: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}
         for key, flights in found.items()
@@ -89,7 +93,7 @@ def main() -> None:
         for name in robots
     }
     lines += tests(everywhere, worlds)
-    kinds = np.repeat(KINDS, given.worlds)
+    kinds = np.repeat(KINDS, given.worlds * FLIGHTS)
     rows = [
         (f"`{name}`", [f"{values[kinds == kind].mean():.2f}" for kind in KINDS])
         for name, values in everywhere.items()
@@ -104,8 +108,8 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
         courses = [
             Course(
                 world=kind,
-                seed=5000 + n,
-                flights=1,
+                seed=given.seed + n,
+                flights=FLIGHTS,
                 movers=density,  # type: ignore[arg-type]
                 lidar=given.lidar,
                 vehicle=VEHICLE,
@@ -120,7 +124,7 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
     return [one for _, several in read_recording(file).courses for one in several]
 
 
-def cells(figures: dict[str, Floats], worlds: Floats) -> list[str]:
+def cells(figures: dict[str, Floats], worlds: Ints) -> list[str]:
     """The figures of a robot, with intervals over worlds."""
     scale = {"success": "outcome", "struck": "outcome", "collision": "outcome"}
     return [
@@ -129,7 +133,7 @@ def cells(figures: dict[str, Floats], worlds: Floats) -> list[str]:
     ]
 
 
-def tests(success: dict[str, Floats], worlds: Floats) -> list[str]:
+def tests(success: dict[str, Floats], worlds: Ints) -> list[str]:
     """The differences that the plan names, with p-values by Holm over all of them."""
     pairs = [(success[one], success[other]) for one, other in QUESTIONS.values()]
     rng = np.random.default_rng(0)
