@@ -35,15 +35,16 @@ TURN = 2.0
 
 
 def stopping_m(speed: float, about: Observation) -> float:
-    """Length in which the vehicle stops from a speed, metres: it flies on for `LAG_S`, and brakes
-    at its acceleration, which takes its jerk bound some time to reach.
+    """Length in which the vehicle stops from a speed, metres: it flies on for `LAG_S` and while the
+    jerk builds up, and brakes with half of its acceleration, since it follows speeds that fall with
+    a lag.
 
     Args:
         speed: Metres a second.
         about: See `Simulation.about`.
     """
     pull, jerk = float(about["acceleration_mps2"]), float(about["jerk_mps3"])
-    return speed * (LAG_S + pull / jerk) + speed * speed / (2.0 * pull)
+    return speed * (LAG_S + pull / jerk) + speed * speed / pull
 
 
 def stopping_mps(length: float, about: Observation) -> float:
@@ -55,8 +56,8 @@ def stopping_mps(length: float, about: Observation) -> float:
         about: See `Simulation.about`.
     """
     pull = float(about["acceleration_mps2"])
-    lost = pull * (LAG_S + pull / float(about["jerk_mps3"]))
-    return max(math.sqrt(lost * lost + 2.0 * pull * max(length, 0.0)) - lost, CREEP_MPS)
+    lost = 0.5 * pull * (LAG_S + pull / float(about["jerk_mps3"]))
+    return max(math.sqrt(lost * lost + pull * max(length, 0.0)) - lost, CREEP_MPS)
 
 
 def velocity_to(
