@@ -184,7 +184,7 @@ def _space(simulation: Simulation) -> spaces.Dict:
     }
     return spaces.Dict(
         {
-            name: spaces.Box(*bounds[name], part.shape, part.dtype.type)
+            name: spaces.Box(*bounds[name.removeprefix("earlier_")], part.shape, part.dtype.type)
             for name, part in simulation.observe().items()
         }
     )
