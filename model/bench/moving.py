@@ -196,12 +196,31 @@ def _moved(scan: Scan, other: Scan) -> list[Floats]:
     distances = np.linalg.norm(ways, axis=1, keepdims=True)
     ends = np.minimum(other.ranges, other.lidar.max_range_m).reshape(-1)
     _, about = KDTree(other.directions.reshape(-1, 3)).query(ways / distances, k=RAYS)
-    points = points[(ends[about] > distances + BEHIND_M).all(axis=1)]
+    return linked(points[(ends[about] > distances + BEHIND_M).all(axis=1)])
+
+
+def linked(points: Floats, link_m: float = LINK_M, cell_m: float = 0.0) -> list[Floats]:
+    """Divide points into groups.
+
+    Args:
+        points: (n, 3), metres.
+        link_m: Points at most this far apart are of one group, metres.
+        cell_m: If above 0, points are linked by the corners of the cells of this size that hold
+            them, which is faster where many are in one, metres.
+
+    Returns:
+        The points of each group, (m, 3).
+    """
     if not len(points):
         return []
-    tree = KDTree(points)
-    count, member = connected_components(tree.sparse_distance_matrix(tree, LINK_M))
-    return [points[member == n] for n in range(count)]
+    corners, of_corner = points, np.arange(len(points))
+    if cell_m:
+        cells = np.floor(points / cell_m)
+        corners, of_corner = np.unique(cells, axis=0, return_inverse=True)
+        corners = corners * cell_m
+    tree = KDTree(corners)
+    count, member = connected_components(tree.sparse_distance_matrix(tree, link_m))
+    return [points[member[of_corner] == n] for n in range(count)]
 
 
 def _holding(groups: Sequence[Floats], sample: Any) -> Mask:

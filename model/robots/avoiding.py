@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from lidarsim.grid import Field, Floats, Ints, Mask
@@ -15,6 +13,7 @@ from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.draw.movers import mover_voxels
 from scenegen.fly.simulation import Observation
+from scenegen.model.bench.moving import FASTEST_MPS, linked
 from scenegen.model.completion.protocol import Returns
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.worlds.clearance import MoversClearance
@@ -31,14 +30,10 @@ EMPTY_ODDS = -0.8
 """Log odds, two rays without a return, from which on a voxel counts as empty."""
 DECAY_S = 10.0
 """A voxel that has had no return for so long is forgotten, seconds."""
-LINK_M = 0.6
-"""Returns at most this far apart are of one mover, metres."""
 GATE_M = 1.0
 """A mover is at most this far from where it was expected, metres."""
 FIT_S, KEPT_S = 0.6, 1.0
 """Over so many seconds a velocity is fitted; for so long a mover is expected on, unseen."""
-FASTEST_MPS = 8.0
-"""The greatest speed that is believed, metres a second."""
 MOST_POINTS = 40
 """Points of a mover from which distances are measured."""
 AHEAD_S = np.arange(0.1, 1.55, 0.1)
@@ -214,29 +209,21 @@ class TrackingRobot(AvoidingRobot):
 
     def _track(self, points: Floats) -> None:
         """Follow movers by their returns (n, 3) now; forget those unseen for `KEPT_S`."""
-        if len(points):
-            # one point a voxel decides which belong together: sensors differ in how many they give
-            voxels, of_voxel = np.unique(
-                np.floor(points / self.grid.voxel_m), axis=0, return_inverse=True
-            )
-            tree = KDTree(voxels * self.grid.voxel_m)
-            count, member = connected_components(tree.sparse_distance_matrix(tree, LINK_M))
-            groups = [points[member[of_voxel] == n] for n in range(count)]
-            expected = [
-                track.middles[-1] + (self._time_s - track.times_s[-1]) * track.velocity()
-                for track in self._tracks
-            ]
-            for group in groups:
-                apart = np.array(expected).reshape(-1, 3) - group.mean(axis=0)
-                away = np.linalg.norm(apart, axis=1)
-                nearest = int(away.argmin()) if len(away) else -1
-                if nearest >= 0 and away[nearest] <= GATE_M:
-                    expected[nearest] = np.full(3, np.inf)
-                    track = self._tracks[nearest]
-                else:
-                    track = _Track(group)
-                    self._tracks.append(track)
-                track.see(group, self._time_s)
+        expected = [
+            track.middles[-1] + (self._time_s - track.times_s[-1]) * track.velocity()
+            for track in self._tracks
+        ]
+        for group in linked(points, cell_m=self.grid.voxel_m):
+            apart = np.array(expected).reshape(-1, 3) - group.mean(axis=0)
+            away = np.linalg.norm(apart, axis=1)
+            nearest = int(away.argmin()) if len(away) else -1
+            if nearest >= 0 and away[nearest] <= GATE_M:
+                expected[nearest] = np.full(3, np.inf)
+                track = self._tracks[nearest]
+            else:
+                track = _Track(group)
+                self._tracks.append(track)
+            track.see(group, self._time_s)
         self._tracks = [
             track for track in self._tracks if self._time_s - track.times_s[-1] <= KEPT_S
         ]
