@@ -285,7 +285,8 @@ def _mover_of(movers: Movers, seen: Returns, times_s: Floats, error_m: float) ->
     for group, origin in by_origin(seen.origins):
         rays, times = seen.directions[group].reshape(1, -1, 3), times_s[group].reshape(-1)
         for ranges, numbers in zip(seen.ranges, result, strict=True):
-            measured = np.nan_to_num(ranges[group].reshape(1, -1), posinf=-np.inf)
+            measured = ranges[group].reshape(1, -1)
+            measured = np.where(np.isfinite(measured), measured, -1.0)
             met, solid = movers.nearest(origin[None], rays, times, measured + error_m)
             solid[measured - met > error_m] = -1
             numbers[group] = owner[solid].reshape(numbers[group].shape)
