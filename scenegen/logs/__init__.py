@@ -83,9 +83,10 @@ class Fusing:
     least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
     """Returns nearer than this are of the vehicle that carries the sensor, and are left out,
     metres."""
-    moved_share: float = number(0.1, minimum=0, below=1)
+    moved_share: float = number(0.2, minimum=0, below=1)
     """A voxel is occupied if at least this share of the scans that observed it have a return in
-    it. If fewer have, a moving object was there, and the voxel is free."""
+    it. If fewer have, a moving object was there, and the voxel is free. Scans that found it free
+    and have a return beside it do not count: rays graze surfaces."""
     every: int = number(10, minimum=1, maximum=10**6)
     """One scan in so many is written as an observation."""
     deskew: bool = False
