@@ -79,8 +79,11 @@ class Course(Checked):
 
     @cached_property
     def drawn(self) -> AnyWorld:
-        """The world that `world` names. Raises GenerationError if its hash is another."""
+        """The world that `world` names. Raises GenerationError if its hash is another, or it has
+        movers."""
         world = named_world(self.world, self.seed, self.difficulty)
+        if getattr(world, "movers", None) is not None:
+            raise GenerationError(f"{self.world}: has movers, which flights cannot avoid yet")
         check_document(hashlib.sha256(world.mjcf).hexdigest(), self)
         return world
 

@@ -1,25 +1,24 @@
 """Logs of worlds with movers: boxes and labels are read by code of its own, and hold the points of
 their movers."""
 
+import dataclasses
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lidarsim import AnalyticEngine, Pose
 from lidarsim.noise.chain import Noise
-from scenegen.draw.source import named_world, read_world
+from scenegen.draw.source import named_world
 from scenegen.logs import Cruise
 from scenegen.logs.record import cruise_poses, out_of_the_way, period_s, record, write_log
 from scenegen.worlds.tables import named_lidar
-from tests.scenegen.logs.test_logs import ROOM
+from tests.command_line import done
+from tests.scenegen.logs.test_logs import ROOM, SENSOR
 
 CLASSES = {"Pedestrian": 254, "Car": 252, "Misc": 259}
-LIDAR = """sensor = "spinning"
-elevations_deg = [-40, -30, -20, -10, -5, 0, 5, 10, 20, 30]
-columns = 180
-max_range_m = 30.0
-"""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def flown(tmp_path_factory):
     """A world with movers, a sensor, and a flight."""
     folder = tmp_path_factory.mktemp("moving")
     (folder / "room.xml").write_text(ROOM)
-    (folder / "mine.toml").write_text(LIDAR)
+    (folder / "mine.toml").write_text(SENSOR)
     sensor = named_lidar(str(folder / "mine.toml"))
     world = named_world(str(folder / "room.xml"), 3, movers="dense")
     poses = cruise_poses(world, Cruise(length_m=6), period_s(sensor), seed=3)
@@ -142,13 +141,16 @@ def test_no_mover_comes_near_the_sensor(flown):
         assert gaps.min() > 0.5
 
 
+def test_a_recorded_log_tells_of_its_movers(standing, capsys):
+    words = "scan pillar --seed 2 --movers light --flight --sequence --length 2 --json"
+    facts = json.loads(done(capsys, f"{words} --lidar velodyne-vlp-16 -o log"))
+    tracks = {line.split()[1] for line in Path("log/label_02.txt").read_text().splitlines()}
+    assert len(tracks) == facts["movers"] > 0
+    assert len([*Path("log/labels").iterdir()]) == facts["scans"]
+
+
 def test_logs_of_standing_worlds_have_no_labels(flown, tmp_path):
-    world = read_world(flown_file(tmp_path))
+    world = dataclasses.replace(flown[0], movers=None)
     (scan,) = record(world, AnalyticEngine.of, flown[1], flown[2][:1], Noise(), seed=0)
     write_log(tmp_path / "log", [scan])
     assert not (tmp_path / "log" / "labels").exists()
-
-
-def flown_file(folder):
-    (folder / "room.xml").write_text(ROOM)
-    return folder / "room.xml"
