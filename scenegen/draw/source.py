@@ -202,13 +202,10 @@ class SceneWorlds:
 
         def moved(split: str, number: int, scene: Scene) -> Scene:
             world = self.world(split, number, rng=np.random.default_rng(seed))
-            zones, key = (
-                recipe.mover_zones(world.flight_bounds),
-                [seed, SPLITS.index(split), number],
-            )
-            return replace(
-                scene, mjcf=with_movers(world, zones, traffic, seed=key, name=scene.name).mjcf
-            )
+            zones = recipe.mover_zones(world.flight_bounds)
+            key = [seed, SPLITS.index(split), number]
+            moving = with_movers(world, zones, traffic, seed=key, name=scene.name)
+            return replace(scene, mjcf=moving.mjcf)
 
         scenes = {
             split: tuple(moved(split, n, scene) for n, scene in enumerate(scenes))

@@ -241,7 +241,8 @@ def record(
             pace = _pace(begin, end, interval_s, corrected)
             chain = in_motion(pace, noise)
         # a seed for each scan: noise does not depend on how many scans came before
-        times_s = number * interval_s + sensor.times_s * moving
+        start_s = number * interval_s
+        times_s = start_s + sensor.times_s * moving
         seen = scan_world(
             world,
             sensor,
@@ -249,7 +250,7 @@ def record(
             chain,
             seed=[seed, number],
             engine=engine,
-            time_s=times_s if moving else number * interval_s,
+            time_s=times_s if moving else start_s,
         )
         mounted_pose = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
@@ -262,17 +263,14 @@ def record(
             fields["ring"] = np.broadcast_to(rings, hit.shape)[hit].astype(np.uint16)
         boxes: list[Box] = []
         if movers is not None:
-            error_m = min(noise.bound_m(sensor.max_range_m), MAX_ERROR_M)
-            track = _mover_of(movers, seen, times_s, error_m)[hit] + 1
-            fields["mover"] = track.astype(np.uint16)
-            when = np.broadcast_to(times_s, hit.shape)[hit]
+            # float32 rounds ranges of 200 m to 8 µm
+            error_m = min(noise.bound_m(sensor.max_range_m), MAX_ERROR_M) + 1e-4
+            mover = _mover_of(movers, seen, times_s, error_m)
+            fields["mover"] = (mover[hit] + 1).astype(np.uint16)
             for m in range(len(movers)):
-                own = when[track == m + 1]
-                boxes.append(
-                    _box(movers, m, float(own.mean() if len(own) else number * interval_s))
-                )
-        points = mounted_pose.to_body(points)
-        yield LogScan(number * interval_s, mounted_pose, points, fields, boxes)
+                own = np.broadcast_to(times_s, hit.shape)[hit & (mover == m)]
+                boxes.append(_box(movers, m, float(own.mean() if len(own) else start_s)))
+        yield LogScan(start_s, mounted_pose, mounted_pose.to_body(points), fields, boxes)
 
 
 def _mover_of(movers: Movers, seen: Returns, times_s: Floats, error_m: float) -> Ints:
@@ -280,8 +278,6 @@ def _mover_of(movers: Movers, seen: Returns, times_s: Floats, error_m: float) ->
     its ray meets within `error_m` of it."""
     result = np.full(seen.ranges.shape, -1)
     owner = np.append(movers.owner, -1)
-    # float32 rounds ranges of 200 m to 8 µm
-    error_m += 1e-4
     for group, origin in by_origin(seen.origins):
         rays, times = seen.directions[group].reshape(1, -1, 3), times_s[group].reshape(-1)
         for ranges, numbers in zip(seen.ranges, result, strict=True):

@@ -140,7 +140,8 @@ def label_fields(
     voxels = owners(world.solids, standing, grid, sample["origin"]).astype("<i4")
     if world.movers is not None:
         for numbers, mover in ((returned, "return_mover"), (voxels, "voxel_mover")):
-            moving = sample[mover] >= 0
+            # of a damaged sample, numbers may be any
+            moving = (sample[mover] >= 0) & (sample[mover] < len(kinds))
             numbers[moving] = world.model.ngeom + sample[mover][moving].astype("<i4")
     return {
         "return_geom": returned,
