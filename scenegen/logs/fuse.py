@@ -348,9 +348,10 @@ def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tu
     hit += observed
     # rays that graze a surface cross its voxels: beside an observed voxel, free ones stay free, but
     # do not count against hits of other scans
-    counted, shape = free.copy(), observed.shape
-    beside = (np.argwhere(observed)[:, None] + AROUND).reshape(-1, 3)
-    counted.reshape(-1)[np.ravel_multi_index(tuple(beside.T), shape, mode="clip")] = False
+    counted, within, inner = free.copy(), np.zeros_like(observed), (slice(1, -1),) * 3
+    within[inner] = observed[inner]  # the others have no voxels all around
+    strides = np.array([observed[0].size, observed.shape[2], 1])
+    counted.reshape(-1)[np.flatnonzero(within)[:, None] + AROUND @ strides] = False
     miss += counted
     np.maximum(miss, free, out=miss)
     return int(overlapping.sum()), int(observed.sum())
