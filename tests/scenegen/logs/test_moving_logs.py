@@ -2,6 +2,7 @@
 their movers."""
 
 import dataclasses
+import itertools
 import json
 import math
 from pathlib import Path
@@ -110,19 +111,19 @@ def turn_of(pose):
 
 
 def test_with_moving_each_point_is_on_its_mover_at_its_time(flown):
+    """And the others are on none."""
     movers, found = flown[0].movers, 0
-    for scan in recorded(flown, moving=True, corrected=True):
-        hit = np.flatnonzero(scan.more["mover"])
-        points = scan.pose.position + scan.points[hit] @ turn_of(scan.pose).T
-        for point, track, t in zip(
-            points, scan.more["mover"][hit], scan.more["t"][hit], strict=True
-        ):
-            assert movers.gaps_m(point, scan.time_s + float(t))[track - 1] < 1e-3
-        found += len(hit)
+    for scan in itertools.islice(recorded(flown, moving=True, corrected=True), 0, None, 8):
+        points = scan.pose.position + scan.points @ turn_of(scan.pose).T
+        tracks, times = scan.more["mover"], scan.more["t"]
+        for point, track, t in zip(points, tracks, times, strict=True):
+            gaps = movers.gaps_m(point, scan.time_s + float(t))
+            assert gaps[track - 1] < 1e-3 if track else gaps.min() > 0
         for box in scan.boxes:
-            own = scan.more["t"][scan.more["mover"] == box.track]
+            own = times[tracks == box.track]
             assert box.time_s == pytest.approx(scan.time_s + (own.mean() if len(own) else 0))
-    assert found > 500
+        found += np.count_nonzero(tracks)
+    assert found > 50
 
 
 def test_noise_moves_no_point_to_another_mover(flown):
