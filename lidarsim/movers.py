@@ -19,7 +19,7 @@ from lidarsim.engines import Caster
 from lidarsim.engines.analytic import Hits
 from lidarsim.engines.forms import meet, normal, squared_reaches
 from lidarsim.engines.traverse import FARTHER
-from lidarsim.grid import Floats, Ints, rays_of
+from lidarsim.grid import Floats, Ints, Mask, rays_of
 from lidarsim.jit import kernel
 from lidarsim.solids import Solids, bounding_boxes, joining
 
@@ -153,6 +153,46 @@ class Movers:
             period_s=math.inf,
         )
 
+    def only(self, chosen: Mask) -> "Movers":
+        """Keep some movers.
+
+        Args:
+            chosen: (M,): whether each is kept.
+
+        Returns:
+            Those movers, numbered anew.
+        """
+        counts, solids = np.diff(self.piece_start), chosen[self.owner]
+        pieces = np.repeat(chosen, counts)
+        return replace(
+            self,
+            kind=self.kind[chosen],
+            owner=(np.cumsum(chosen) - 1)[self.owner[solids]],
+            shape=self.shape[solids],
+            size=self.size[solids],
+            offset=self.offset[solids],
+            piece_start=np.append(0, np.cumsum(counts[chosen])),
+            begin_s=self.begin_s[pieces],
+            course=self.course[pieces],
+        )
+
+    def gaps_m(self, point: Floats, time_s: float) -> Floats:
+        """Compute how far a point is from the box around each mover.
+
+        Args:
+            point: (3,), metres, in the world.
+            time_s: The time, seconds.
+
+        Returns:
+            (M,), metres; 0 inside. See `boxes`.
+        """
+        position, heading, _, _ = self.poses(time_s)
+        (x, y, z), (cosine, sine) = (point - position).T, heading.T
+        within = np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
+        lower, upper = self.boxes
+        beyond = np.maximum(np.maximum(lower - within, within - upper), 0.0)
+        return np.asarray(np.sqrt((beyond * beyond).sum(axis=1)))
+
     def nearest(
         self, starts: Floats, rays: Floats, times_s: Floats, ranges: Floats
     ) -> tuple[Floats, Ints]:
@@ -285,6 +325,16 @@ class Movers:
         return radius
 
     @cached_property
+    def boxes(self) -> tuple[Floats, Floats]:
+        """The box around each mover in its frame: least and greatest corners (M, 3), metres."""
+        upright = np.broadcast_to(np.eye(3), (len(self.owner), 3, 3))
+        low, high = bounding_boxes(self.shape, self.size, self.offset, upright)
+        lower, upper = np.full((len(self), 3), np.inf), np.full((len(self), 3), -np.inf)
+        np.minimum.at(lower, self.owner, low)
+        np.maximum.at(upper, self.owner, high)
+        return lower, upper
+
+    @cached_property
     def solid_start(self) -> Ints:
         """(M + 1,): mover m has the solids solid_start[m] to solid_start[m + 1]."""
         return np.searchsorted(self.owner, np.arange(len(self) + 1))
@@ -331,15 +381,6 @@ class MovingCaster:
         self._standing, self._movers, self._geoms = standing, movers, geoms
         self._time_s = np.asarray(time_s, float)
 
-    def part(self, chosen: Any) -> "MovingCaster":
-        """The caster for some of the rays of a pose.
-
-        Args:
-            chosen: Their index in arrays (*shape).
-        """
-        time_s = self._time_s[chosen] if self._time_s.ndim else self._time_s
-        return MovingCaster(self._standing, self._movers, time_s, geoms=self._geoms)
-
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Caster.cast`.
 
@@ -351,6 +392,15 @@ class MovingCaster:
         """
         ranges = self._standing.cast(origins, directions, max_range_m)
         return self._meet(origins, directions, max_range_m, ranges)[0]
+
+    def of_rays(self, rays: Any) -> "MovingCaster":
+        """Return the caster for some rays of a pose.
+
+        Args:
+            rays: An index of arrays (*shape).
+        """
+        times = self._time_s[rays] if self._time_s.ndim else self._time_s
+        return MovingCaster(self._standing, self._movers, times, geoms=self._geoms)
 
     @property
     def hits(self) -> Callable[..., Hits]:

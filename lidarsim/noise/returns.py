@@ -256,17 +256,11 @@ class View:
             (*shape), metres; ``inf`` beyond the sensor's range.
         """
         ranges = np.empty(directions.shape[:-1])
-        for group, origin in _by_origin(origins):
-            (ranges[group],) = self._engine_of(group).cast(
+        for group, origin in by_origin(origins):
+            (ranges[group],) = self._engine_for(group).cast(
                 origin[None], directions[group][None], self.sensor.max_range_m
             )
         return ranges
-
-    def _engine_of(self, group: Any) -> Any:
-        """The engine for some of the rays, which meet movers at their own times."""
-        if group is ... or not hasattr(self.engine, "part"):
-            return self.engine
-        return self.engine.part(group)
 
     def surfaces(self, returns: Returns) -> tuple[Floats, Floats]:
         """Find the surfaces that the returns' rays meet first.
@@ -281,17 +275,18 @@ class View:
         Raises:
             ValueError: If the engine has no `hits`.
         """
-        if not hasattr(self.engine, "hits"):
+        if getattr(self.engine, "hits", None) is None:
             raise ValueError(
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
             )
         cosine, albedo = lit = np.empty((2, *returns.directions.shape[:-1]))
         light = np.empty(0) if self.albedo is None else np.array(self.albedo, float)
-        for group, origin in _by_origin(returns.origins):
+        for group, origin in by_origin(returns.origins):
             directions = returns.directions[group]
-            hits = self._engine_of(group).hits
-            met = hits(origin[None], directions[None], self.sensor.max_range_m)
+            met = self._engine_for(group).hits(
+                origin[None], directions[None], self.sensor.max_range_m
+            )
             rays = directions.reshape(-1, 3)
             # with one origin the results are written in place
             part = lit if group is ... else np.empty((2, len(rays)))
@@ -305,6 +300,11 @@ class View:
             if group is not ...:
                 cosine[group], albedo[group] = part
         return cosine, albedo
+
+    def _engine_for(self, rays: Any) -> Any:
+        """The engine for some rays of the scan, which may have times of their own."""
+        of_rays = getattr(self.engine, "of_rays", None)
+        return of_rays(rays) if of_rays else self.engine
 
 
 @kernel
@@ -329,8 +329,15 @@ def albedo_of(model: "mujoco.MjModel") -> Floats:
     return np.clip((0.2126 * red + 0.7152 * green) + 0.0722 * blue, 0.0, 1.0)
 
 
-def _by_origin(origins: Floats) -> list[tuple[Any, Floats]]:
-    """Group rays by origin: indices of arrays (*shape), each with its origin (3,)."""
+def by_origin(origins: Floats) -> list[tuple[Any, Floats]]:
+    """Group rays by origin.
+
+    Args:
+        origins: (*shape, 3).
+
+    Returns:
+        Indices of arrays (*shape), each with its origin (3,).
+    """
     if not any(origins.strides[:-1]):  # broadcast from one, as `Returns.of` has it
         return [(..., origins[(0,) * (origins.ndim - 1)])]
     flat = origins.reshape(-1, 3)

@@ -26,9 +26,10 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, Reporter, echo, info, show_columns, show_table
-from scenegen.cli.types import Named, Numbers
+from scenegen.cli.types import Choice, Named, Numbers
 from scenegen.convert import Choices
 from scenegen.logs import Cruise
+from scenegen.worlds.traffic import PRESETS
 
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
@@ -130,6 +131,7 @@ def _cell(value: Any) -> str:
     "scan scenes/forest.xml --flight --lidar livox-avia --noise datasheet -o forest.npz",
     "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
     "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
+    "scan street --movers dense --flight --sequence --moving --lidar ouster-os1-64 -o log",
 )
 @click.argument("world", type=WORLD)
 @click.option(
@@ -157,6 +159,12 @@ def _cell(value: Any) -> str:
     help="With --sequence: cast each ray from where the sensor is at its time. Points of a folder "
     "are corrected for that, as KITTI's; those of an .mcap file are raw.",
 )
+@click.option(
+    "--movers",
+    type=Choice(list(PRESETS)),
+    help="Add people, vehicles and drones that move; a log says which points are theirs. An MJCF "
+    "file's own are kept.",
+)
 @lidar_option("raster")
 @noise_option
 @engine_option("Engine that casts rays.", default="analytic")
@@ -175,6 +183,7 @@ def scan(
     flight: bool,
     sequence: bool,
     moving: bool,
+    movers: str | None,
     lidar: str | None,
     noise: str | None,
     engine: str,
@@ -216,7 +225,8 @@ def scan(
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain, maker = named_noise(noise, sensor), find_engine(engine)
-    setup = _Setup(sensor, chain, maker, named_world(world, seed, report=info if verbose else None))
+    report = info if verbose else None
+    setup = _Setup(sensor, chain, maker, named_world(world, seed, report=report, movers=movers))
     if sequence:
         facts = _write_log(out, setup, Cruise(**options), seed, moving, verbose)
     else:
@@ -234,7 +244,7 @@ def _write_log(
 ) -> "Json":
     """Record a log; return facts of it."""
     from scenegen.base.files import check_free
-    from scenegen.logs.record import cruise_poses, period_s, record, write_log
+    from scenegen.logs.record import cruise_poses, out_of_the_way, period_s, record, write_log
 
     check_free(out)
     # KITTI's points are deskewed, while drivers of ROS publish them raw
@@ -243,8 +253,9 @@ def _write_log(
         import mcap_ros2  # noqa: F401 (if it is missing, fail before a minute of scans)
     period = period_s(setup.sensor)
     poses = cruise_poses(setup.world, cruise, period, seed=seed)
+    world = out_of_the_way(setup.world, poses, period)
     scans = record(
-        setup.world,
+        world,
         setup.engine,
         setup.sensor,
         poses,
@@ -257,6 +268,9 @@ def _write_log(
         progress.start(len(poses))
         counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))
+    drawn, kept = (getattr(each, "movers", None) or () for each in (setup.world, world))
+    if drawn:
+        counts |= {"movers": len(kept), "movers_too_near": len(drawn) - len(kept)}
     return {"seconds": round(period * len(poses), 3), "metres": round(flown, 3), **counts}
 
 
@@ -282,7 +296,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
     from scenegen.worlds.place import Place
 
     sensor, noise, engine, world = setup
-    seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine)
+    seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine, time_s=0.0)
     # a real sensor has no returns below its minimum range, whatever noise the user chose
     near = np.isfinite(seen.ranges) & ~is_return(seen.ranges, getattr(sensor, "min_range_m", 0.0))
     seen = seen.but(ranges=np.where(near, np.inf, seen.ranges))

@@ -266,6 +266,8 @@ def plan_generation(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
             f"--{', --'.join(base_recipe.parts)}"
         )
+    if isinstance(source, SceneWorlds):
+        source = source.moving(base_recipe, seed)
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)

@@ -175,10 +175,16 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
 
 
 def _populated(world: AnyWorld, recipe: Recipe, *, rng: Generator) -> AnyWorld | None:
-    """Add the recipe's movers to a drawn world; None if they find no room."""
-    if (traffic := recipe.traffic) is None or recipe.world is None or isinstance(world, Place):
+    """Add the recipe's movers to a drawn world; None if they find no room. Raises GenerationError
+    if the world has movers already, and the recipe has none."""
+    if isinstance(world, Place):
         return world
-    return populated(world, recipe.world.mover_zones(world.flight_bounds), traffic, rng=rng)
+    if world.movers is None and recipe.traffic is not None:
+        zones = recipe.mover_zones(world.flight_bounds)
+        return populated(world, zones, recipe.traffic, rng=rng)
+    if world.movers is not None and recipe.traffic is None:
+        raise GenerationError("the world's document has movers; give --movers, which keeps them")
+    return world
 
 
 def caster_at(world: AnyWorld, engine: EngineFactory, recipe: Recipe, time_s: float) -> Caster:
@@ -411,10 +417,11 @@ def samples_of(
             **earlier_fields(earlier),
             **({} if recipe.traffic is None else {"scan_times": times_s}),
         }
-        for name, settings in recipe.parts.items():
+        # labels need the numbers of movers
+        for name in sorted(recipe.parts, key="movers".__ne__):
             if not isinstance(world, World):
                 raise GenerationError(f"--{name}: a map of a real place has no geoms; leave it out")
-            values |= PARTS[name].compute(values, world, recipe, settings)
+            values |= PARTS[name].compute(values, world, recipe, recipe.parts[name])
         samples.append(Sample(**values, lidar=recipe.lidar, grid=recipe.grid))
     return tuple(samples)
 
@@ -443,7 +450,7 @@ def scan_world(
     *,
     seed: int | Sequence[int],
     engine: EngineFactory | str = AnalyticEngine.of,
-    time_s: ArrayLike = 0.0,
+    time_s: ArrayLike | None = None,
 ) -> Returns:
     """Scan a world.
 
@@ -455,7 +462,8 @@ def scan_world(
         seed: Seed of the noise.
         engine: Name of the engine for a world of solids, such as "mujoco", or a function that makes
             one, such as `lidarsim.MujocoEngine.of`.
-        time_s: When rays meet movers, seconds; one number, or one for each ray, (*lidar.shape).
+        time_s: When rays are cast, seconds, in a world with movers; one number, or one for each
+            ray, (*lidar.shape). Without it, nothing moves there.
 
     Returns:
         Ranges and intensities. `points()` are the returns (M, 3), metres, in the world's frame.
@@ -467,9 +475,8 @@ def scan_world(
     with reraise_as(RecipeError):
         factory = ENGINES.find(engine).of if isinstance(engine, str) else engine
     rng = np.random.default_rng(seed)
-    if isinstance(world, Place):
-        caster: Any = world.caster(factory)
-    else:
+    caster: Caster = world.caster(factory)
+    if time_s is not None and isinstance(world, World):
         caster = world.caster_at(factory, time_s)
     return observed(cast(caster, lidar, pose), named_noise(noise, lidar), world.albedo, caster, rng)
 

@@ -18,7 +18,6 @@ from numpy.random import Generator
 from scenegen import SPLITS
 from scenegen.base.errors import (
     CorruptFileError,
-    GenerationError,
     RecipeError,
     SceneError,
     plural,
@@ -41,13 +40,13 @@ from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.recipe import Acceptance, Recipe, preset
 from scenegen.worlds.scene import Reading, Scene, named, read_file
-from scenegen.worlds.traffic import Traffic
+from scenegen.worlds.traffic import PRESETS
 from scenegen.worlds.world import (
     AnyWorld,
     World,
     archived_world,
-    populated,
     solid,
+    with_movers,
     write_world,
 )
 
@@ -184,6 +183,36 @@ class SceneWorlds:
             for name in class_names(solid(world, "--labels: one of the worlds").model, by)
         }
 
+    def moving(self, recipe: Recipe, seed: int) -> "SceneWorlds":
+        """Add the recipe's movers to worlds without any. Several units visit a world, so its movers
+        do not depend on the unit.
+
+        Args:
+            recipe: The recipe.
+            seed: Seed of the dataset.
+
+        Returns:
+            Worlds with movers; the same ones if the recipe has none.
+
+        Raises:
+            SceneError: if movers find no room in a world.
+        """
+        if (traffic := recipe.traffic) is None:
+            return self
+
+        def moved(split: str, number: int, scene: Scene) -> Scene:
+            world = self.world(split, number, rng=np.random.default_rng(seed))
+            zones = recipe.mover_zones(world.flight_bounds)
+            key = [seed, SPLITS.index(split), number]
+            moving = with_movers(world, zones, traffic, seed=key, name=scene.name)
+            return replace(scene, mjcf=moving.mjcf)
+
+        scenes = {
+            split: tuple(moved(split, n, scene) for n, scene in enumerate(scenes))
+            for split, scenes in self.scenes.items()
+        }
+        return replace(self, scenes=scenes)
+
     @property
     def maps(self) -> list[str]:
         """Names of the worlds that are maps of real places."""
@@ -226,7 +255,7 @@ def named_world(
     seed: int,
     difficulty: str | None = None,
     report: Callable[[str], None] | None = None,
-    traffic: Traffic | None = None,
+    movers: str | None = None,
 ) -> AnyWorld:
     """Read a world from a file, or draw one of a kind.
 
@@ -235,32 +264,23 @@ def named_world(
         seed: Seed of a drawn world.
         difficulty: "easy", "medium" or "hard".
         report: Called with each note about a file.
-        traffic: Movers of a drawn world; the world is drawn again until they find room.
+        movers: Preset of movers, see `scenegen.worlds.traffic.PRESETS`; a file's own are kept.
 
     Raises:
-        SceneError: if the file cannot be used.
+        SceneError: if the file cannot be used, or movers find no room.
         RecipeError: if there is no such kind.
-        GenerationError: if movers find no room.
     """
-    if Path(name).exists() or (":" not in name and not name.isidentifier()):
-        if traffic is not None:
-            raise GenerationError(f"{name}: movers are drawn into worlds of a kind alone")
-        return read_world(name, report)
-    recipe = preset(name, difficulty=difficulty)
-    drawn = DrawnWorlds(recipe)
-    first = drawn.world("train", 0, rng=np.random.default_rng(seed))
-    if traffic is None or recipe.world is None:
-        return first
-    for attempt in range(recipe.accept.max_draws):
-        rng = np.random.default_rng([seed, attempt])
-        world = drawn.world("train", 0, rng=rng) if attempt else first
-        zones = recipe.world.mover_zones(world.flight_bounds)
-        if (moving := populated(world, zones, traffic, rng=rng)) is not None:
-            return moving
-    raise GenerationError(
-        f"{name}, seed {seed}: its movers find no room in {recipe.accept.max_draws} worlds; "
-        "take fewer movers, or another kind"
-    )
+    is_file = Path(name).exists() or (":" not in name and not name.isidentifier())
+    recipe = preset("scene") if is_file else preset(name, difficulty=difficulty)
+    world: AnyWorld
+    if is_file:
+        world = read_world(name, report)
+    else:
+        world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(seed))
+    if movers is None:
+        return world
+    zones = recipe.mover_zones(world.flight_bounds)
+    return with_movers(world, zones, PRESETS[movers], seed=[seed], name=name)
 
 
 @functools.lru_cache(maxsize=8)  # the units of a split return to the same worlds

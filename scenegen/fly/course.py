@@ -34,7 +34,6 @@ from scenegen.logs import LogScan
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.tables import named_lidar, named_noise
-from scenegen.worlds.traffic import PRESETS as TRAFFIC
 from scenegen.worlds.world import AnyWorld
 
 FORMAT = 1
@@ -87,8 +86,8 @@ class Course(Checked):
     @cached_property
     def drawn(self) -> AnyWorld:
         """The world that `world` names. Raises GenerationError if its hash is another."""
-        traffic = TRAFFIC.get(self.movers)
-        world = named_world(self.world, self.seed, self.difficulty, traffic=traffic)
+        movers = self.movers or None
+        world = named_world(self.world, self.seed, self.difficulty, movers=movers)
         check_document(hashlib.sha256(world.mjcf).hexdigest(), self)
         return world
 

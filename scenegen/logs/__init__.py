@@ -4,7 +4,7 @@
 sensors, and `fuse` makes maps of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,25 @@ if TYPE_CHECKING:  # commands take their options from here, and none of these
 
 
 @dataclass(frozen=True, eq=False)
+class Box:
+    """Where a mover was in one scan: the least upright box around it."""
+
+    track: int
+    """Number of the mover in the log, from 1 on."""
+    kind: str
+    """Of `scenegen.worlds.traffic.KINDS`."""
+    time_s: float
+    """When it was there, seconds: the mean time of its points in the scan, or when the scan
+    began."""
+    bottom: "Floats"
+    """(3,): the middle of its lower face in the world, metres."""
+    yaw: float
+    """Direction of its length in the world, radians, counter-clockwise from x."""
+    size: "Floats"
+    """(3,): length, width and height, metres."""
+
+
+@dataclass(frozen=True, eq=False)
 class LogScan:
     """One scan of a log."""
 
@@ -29,8 +48,10 @@ class LogScan:
     points: "Floats"
     """(N, 3): returns in the sensor's frame, metres; not finite where nothing returned."""
     more: "Mapping[str, NDArray]" = field(default_factory=dict)
-    """Further values of each return, (N,): `intensity`; `ring`, the number of its beam; and `t`,
-    when its ray was cast, seconds after `time_s`."""
+    """Further values of each return, (N,): `intensity`; `ring`, the number of its beam; `t`, when
+    its ray was cast, seconds after `time_s`; and `mover`, the track that it lies on, or 0."""
+    boxes: "Sequence[Box]" = ()
+    """All movers of the world, by track."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +83,10 @@ class Fusing:
     least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
     """Returns nearer than this are of the vehicle that carries the sensor, and are left out,
     metres."""
-    moved_share: float = number(0.1, minimum=0, below=1)
+    moved_share: float = number(0.2, minimum=0, below=1)
     """A voxel is occupied if at least this share of the scans that observed it have a return in
-    it. If fewer have, a moving object was there, and the voxel is free."""
+    it. If fewer have, a moving object was there, and the voxel is free. Scans that found it free
+    and have a return beside it do not count: rays graze surfaces."""
     every: int = number(10, minimum=1, maximum=10**6)
     """One scan in so many is written as an observation."""
     deskew: bool = False

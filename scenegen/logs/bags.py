@@ -20,10 +20,11 @@ from scenegen.worlds.clouds import Cloud, cloud_of
 from scenegen.worlds.clouds.columns import Table, used_fields
 
 CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 FOLDER = Path(__file__).with_name("definitions")
 DEFINITIONS = {
     name: (FOLDER / f"{Path(name).name}.msg").read_text(encoding="utf-8")
-    for name in (CLOUD, TRANSFORMS)
+    for name in (CLOUD, TRANSFORMS, MARKERS)
 }
 """Texts of the definitions of ROS messages, by the name of the type."""
 POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
@@ -236,20 +237,20 @@ def _of_cloud(cloud: Any) -> Cloud:
     return _of_rows(rows, " ".join(fields))
 
 
-def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -> None:
+def write_messages(file: IO[bytes], rows: Iterable[Row]) -> None:
     """Write a file of MCAP with ROS 2 messages.
 
     Args:
         file: The open file.
-        kinds: Types of the messages, of `DEFINITIONS`.
-        rows: The messages, in the order of time; see `Row`.
+        rows: The messages, in the order of time, of types in `DEFINITIONS`; see `Row`.
     """
     from mcap_ros2.writer import Writer
 
-    writer = Writer(file)
-    schemas = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in kinds}
+    writer, schemas = Writer(file), dict[str, Any]()
     for number, when_ns, messages in rows:
         for topic, (kind, message) in messages.items():
+            if kind not in schemas:
+                schemas[kind] = writer.register_msgdef(kind, DEFINITIONS[kind])
             writer.write_message(
                 f"/{topic}", schemas[kind], message, log_time=when_ns, sequence=number
             )

@@ -50,6 +50,8 @@ NOTHING = np.empty((2, 0, 0, 0), np.uint8)
 """Counts of an empty map."""
 MIN_OVERLAP = 0.1
 """A scan does not overlap earlier ones if they met a smaller share of its observed voxels."""
+AROUND = np.indices((3, 3, 3)).reshape(3, -1).T - 1
+"""Steps (27, 3) from a voxel to all around it."""
 MAX_COUNT = 255
 """Maximum count of a voxel (uint8): at this, both of its counts are halved."""
 Counts: TypeAlias = NDArray[np.uint8]
@@ -325,7 +327,8 @@ def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tu
 
     Args:
         hits: Scans that observed each voxel.
-        misses: Scans that found each voxel free.
+        misses: Scans that found each voxel free, and observed none beside it; at least 1 if any
+            scan found it free.
         corner: (3,): index of the window's first voxel in the map.
         seen: The window.
 
@@ -343,7 +346,14 @@ def _count(hits: Counts, misses: Counts, corner: Ints, seen: ObservedGrid) -> tu
         miss[full] -= miss[full] >> 1
     overlapping = observed & ((hit | miss) > 0)
     hit += observed
-    miss += free
+    # rays that graze a surface cross its voxels: beside an observed voxel, free ones stay free, but
+    # do not count against hits of other scans
+    counted, within, inner = free.copy(), np.zeros_like(observed), (slice(1, -1),) * 3
+    within[inner] = observed[inner]  # the others have no voxels all around
+    strides = np.array([observed[0].size, observed.shape[2], 1])
+    counted.reshape(-1)[np.flatnonzero(within)[:, None] + AROUND @ strides] = False
+    miss += counted
+    np.maximum(miss, free, out=miss)
     return int(overlapping.sum()), int(observed.sum())
 
 

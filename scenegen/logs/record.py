@@ -18,9 +18,11 @@ from ompl import geometric as og
 
 from lidarsim import Pose, Sensor
 from lidarsim.engines import EngineFactory
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Ints
+from lidarsim.movers import Movers
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
+from lidarsim.noise.returns import Returns, by_origin
 from lidarsim.pose import rotate
 from lidarsim.scan import mounted
 from lidarsim.sensors.spinning import Windowed
@@ -28,9 +30,10 @@ from scenegen.base.errors import GenerationError
 from scenegen.base.executors import Counted, unheard
 from scenegen.base.files import check_free, make_way, whole, whole_folder
 from scenegen.draw.draw import in_motion, scan_world
-from scenegen.logs import Cruise, LogScan
+from scenegen.logs import Box, Cruise, LogScan
 from scenegen.logs.bags import (
     CLOUD,
+    MARKERS,
     TRANSFORMS,
     Row,
     points_message,
@@ -38,7 +41,8 @@ from scenegen.logs.bags import (
 )
 from scenegen.worlds.clouds.write import encode_points
 from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
-from scenegen.worlds.world import AnyWorld
+from scenegen.worlds.traffic import KINDS
+from scenegen.worlds.world import AnyWorld, World
 
 FRAME, SENSOR = "map", "lidar"
 """ROS frames: the world's, and the sensor's."""
@@ -52,6 +56,17 @@ ROUNDS = 3
 """Rounds of B-spline subdivision; each halves the distance between points."""
 USUAL_S = 0.1
 """Time between scans of a sensor without a rate, seconds."""
+NEAR_M = 0.5
+"""Movers that come so near to the sensor are left out of a log, metres."""
+MAX_ERROR_M = 0.3
+"""A return farther from the mover that its ray meets is not the mover's, whatever the noise."""
+STANDING = 99
+"""SemanticKITTI's label of points on no mover: other-object."""
+CUBE, COLOUR = 1, {"r": 1.0, "g": 0.5, "b": 0.0, "a": 0.5}
+"""Type and colour of the Markers of boxes."""
+LABELS = {"person": ("Pedestrian", 254), "vehicle": ("Car", 252), "drone": ("Misc", 259)}
+"""KITTI's type of each kind of mover, and SemanticKITTI's label: moving-person, moving-car and
+moving-other-vehicle."""
 
 
 def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int) -> list[Pose]:
@@ -161,6 +176,25 @@ def period_s(sensor: Sensor) -> float:
     return 1.0 / rate if rate else window or float(np.max(sensor.times_s)) or USUAL_S
 
 
+def out_of_the_way(world: AnyWorld, poses: Sequence[Pose], interval_s: float) -> AnyWorld:
+    """Leave out movers that come within `NEAR_M` of the sensor, whose flight knows none.
+
+    Args:
+        world: The world.
+        poses: Poses of the sensor, `interval_s` apart.
+        interval_s: Time between poses, seconds.
+
+    Returns:
+        The world with the other movers.
+    """
+    if not isinstance(world, World) or world.movers is None:
+        return world
+    movers, away = world.movers, np.ones(len(world.movers), bool)
+    for number, pose in enumerate(poses):
+        away &= movers.gaps_m(pose.position, number * interval_s) > NEAR_M
+    return dataclasses.replace(world, movers=movers.only(away))
+
+
 def record(
     world: AnyWorld,
     engine: EngineFactory,
@@ -172,17 +206,18 @@ def record(
     moving: bool = False,
     corrected: bool = False,
 ) -> Iterator[LogScan]:
-    """Scan a world along a flight.
+    """Scan a world along a flight. Movers are where they are when each scan begins.
 
     Args:
-        world: The world.
+        world: The world; see `out_of_the_way`.
         engine: Factory of the engine that casts rays.
         sensor: The sensor.
         poses: Level poses of the body in the world, `period_s` apart.
         noise: Noise on the clean ranges.
         seed: Seed of the noise.
         moving: Whether each ray is cast from where the sensor is at the ray's time, instead of
-            all from where the scan begins. The motion is even from pose to pose.
+            all from where the scan begins. The motion is even from pose to pose. Then each ray
+            also meets movers where they are at its time.
         corrected: With `moving`, whether points are deskewed: in the sensor's frame at the scan's
             begin. Otherwise they are as the sensor reports them, as if it stood still.
 
@@ -194,6 +229,7 @@ def record(
     """
     interval_s, begin_s = period_s(sensor), getattr(sensor, "after_s", 0.0)
     rings = np.arange(sensor.shape[0])[:, None]
+    movers = world.movers if isinstance(world, World) else None
     for number, pose in enumerate(poses):
         # sensors without a repeated pattern go on with it where the last scan ended
         if isinstance(sensor, Windowed):
@@ -205,7 +241,17 @@ def record(
             pace = _pace(begin, end, interval_s, corrected)
             chain = in_motion(pace, noise)
         # a seed for each scan: noise does not depend on how many scans came before
-        seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
+        start_s = number * interval_s
+        times_s = start_s + sensor.times_s * moving
+        seen = scan_world(
+            world,
+            sensor,
+            pose,
+            chain,
+            seed=[seed, number],
+            engine=engine,
+            time_s=times_s if moving else start_s,
+        )
         mounted_pose = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
         hit = np.isfinite(seen.ranges)
@@ -215,7 +261,46 @@ def record(
             fields["intensity"] = seen.intensity[hit].astype(np.float32)
         if len(sensor.shape) == 2:
             fields["ring"] = np.broadcast_to(rings, hit.shape)[hit].astype(np.uint16)
-        yield LogScan(number * interval_s, mounted_pose, mounted_pose.to_body(points), fields)
+        boxes: list[Box] = []
+        if movers is not None:
+            # float32 rounds ranges of 200 m to 8 µm
+            error_m = min(noise.bound_m(sensor.max_range_m), MAX_ERROR_M) + 1e-4
+            mover = _mover_of(movers, seen, times_s, error_m)
+            fields["mover"] = (mover[hit] + 1).astype(np.uint16)
+            for m in range(len(movers)):
+                own = np.broadcast_to(times_s, hit.shape)[hit & (mover == m)]
+                boxes.append(_box(movers, m, float(own.mean() if len(own) else start_s)))
+        yield LogScan(start_s, mounted_pose, mounted_pose.to_body(points), fields, boxes)
+
+
+def _mover_of(movers: Movers, seen: Returns, times_s: Floats, error_m: float) -> Ints:
+    """Tell which mover each return lies on, (echoes, *shape), -1 for none: the one whose surface
+    its ray meets within `error_m` of it."""
+    result = np.full(seen.ranges.shape, -1)
+    owner = np.append(movers.owner, -1)
+    for group, origin in by_origin(seen.origins):
+        rays, times = seen.directions[group].reshape(1, -1, 3), times_s[group].reshape(-1)
+        for ranges, numbers in zip(seen.ranges, result, strict=True):
+            measured = ranges[group].reshape(1, -1)
+            measured = np.where(np.isfinite(measured), measured, -1.0)
+            met, solid = movers.nearest(origin[None], rays, times, measured + error_m)
+            solid[measured - met > error_m] = -1
+            numbers[group] = owner[solid].reshape(numbers[group].shape)
+    return result
+
+
+def _box(movers: Movers, number: int, time_s: float) -> Box:
+    """Return where a mover is at a time."""
+    position, heading, _, _ = movers.poses(time_s)
+    (lower, upper), (x, y) = (corners[number] for corners in movers.boxes), heading[number]
+    middle = (lower + upper) / 2
+    bottom = position[number] + (
+        x * middle[0] - y * middle[1],
+        y * middle[0] + x * middle[1],
+        lower[2],
+    )
+    kind = KINDS[movers.kind[number] - 1]
+    return Box(number + 1, kind, time_s, bottom, math.atan2(y, x), upper - lower)
 
 
 def _pace(begin: Pose, end: Pose, every_s: float, corrected: bool) -> Any:
@@ -244,6 +329,9 @@ def write_log(out: Path, scans: Iterable[LogScan], on_done: Counted = unheard) -
     y, z, w). A file has PointCloud2 on ``/points``, with `ring`, `t` and `intensity` where known,
     and the sensor's transforms in the world on ``/tf``.
 
+    With movers, a folder also holds ``labels/000000.label`` (SemanticKITTI, Behley et al. 2019) and
+    ``label_02.txt`` (KITTI's tracking), and a file the field `mover` and boxes on ``/movers``.
+
     Args:
         out: The file or folder, which must not exist.
         scans: The scans, in order.
@@ -271,7 +359,7 @@ def write_log(out: Path, scans: Iterable[LogScan], on_done: Counted = unheard) -
         check_free(out)
         make_way(out)
         with whole(out) as draft, open(draft, "r+b") as file:
-            write_messages(file, (TRANSFORMS, CLOUD), _rows(counted()))
+            write_messages(file, _rows(counted()))
     return counts
 
 
@@ -284,11 +372,28 @@ def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
         content = encode_points(".bin", scan.points, scan.more.get("intensity"))
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
         w, *vector = scan.pose.quaternion  # TUM has w last
+        if "mover" in scan.more:
+            (folder / "labels").mkdir(exist_ok=True)
+            kinds = np.array([STANDING, *(LABELS[box.kind][1] for box in scan.boxes)], "<u4")
+            track = scan.more["mover"].astype("<u4")
+            (folder / "labels" / f"{number:06d}.label").write_bytes(kinds[track] | track << 16)
+            with open(folder / "label_02.txt", "a") as file:
+                file.writelines(_kitti_box(number, box, scan.pose) for box in scan.boxes)
         tables["times.txt"].append(scan.time_s)
         tables["poses.txt"].append(matrix_of(scan.pose)[:3].reshape(-1))
         tables["poses.tum"].append([scan.time_s, *scan.pose.position, *vector, w])
     for name, rows in tables.items():
         np.savetxt(folder / name, rows, "%.12g")
+
+
+def _kitti_box(number: int, box: Box, pose: Pose) -> str:
+    """Return a line of KITTI's tracking in the sensor's frame; unknown are truncation, occlusion,
+    the angle of view and the box in the image."""
+    along = np.array([[0.0, 0.0, 0.0], [math.cos(box.yaw), math.sin(box.yaw), 0.0]])
+    bottom, tip = pose.to_body(box.bottom + along)
+    values = [*box.size[[2, 1, 0]], *bottom, math.atan2(tip[1] - bottom[1], tip[0] - bottom[0])]
+    words = " ".join(f"{value:.6f}" for value in values)
+    return f"{number} {box.track} {LABELS[box.kind][0]} -1 -1 -10 -1 -1 -1 -1 {words}\n"
 
 
 def matrix_of(pose: Pose) -> Floats:
@@ -302,14 +407,37 @@ def matrix_of(pose: Pose) -> Floats:
 def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
     """Yield the messages of each scan: its cloud, and the sensor's transform."""
     for number, scan in enumerate(scans):
-        when = round(scan.time_s * 1e9)
-        stamp = dict(zip(("sec", "nanosec"), divmod(when, 10**9), strict=True))
         transform = {
             "translation": dict(zip("xyz", scan.pose.position, strict=True)),
             "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
         }
-        header = {"stamp": stamp, "frame_id": FRAME}
+        header = _header(scan.time_s, FRAME)
         link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
-        sensor_header = {"stamp": stamp, "frame_id": SENSOR}
-        cloud = points_message(scan.points, sensor_header, **scan.more)
-        yield number, when, {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}
+        cloud = points_message(scan.points, _header(scan.time_s, SENSOR), **scan.more)
+        messages = {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}
+        if "mover" in scan.more:
+            messages["movers"] = (MARKERS, {"markers": [*map(_marker, scan.boxes)]})
+        yield number, round(scan.time_s * 1e9), messages
+
+
+def _header(time_s: float, frame: str) -> dict[str, Any]:
+    stamp = dict(zip(("sec", "nanosec"), divmod(round(time_s * 1e9), 10**9), strict=True))
+    return {"stamp": stamp, "frame_id": frame}
+
+
+def _marker(box: Box) -> dict[str, Any]:
+    """Return a box as a Marker: a cube, at the time and place where the mover was."""
+    place = Pose.level(box.bottom + box.size * (0.0, 0.0, 0.5), box.yaw)
+    position, orientation = (
+        dict(zip(axes, values, strict=True))
+        for axes, values in (("xyz", place.position), ("wxyz", place.quaternion))
+    )
+    return {
+        "header": _header(box.time_s, FRAME),
+        "ns": box.kind,
+        "id": box.track,
+        "type": CUBE,
+        "pose": {"position": position, "orientation": orientation},
+        "scale": dict(zip("xyz", box.size, strict=True)),
+        "color": COLOUR,
+    }

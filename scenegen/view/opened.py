@@ -163,15 +163,11 @@ def looks_of_world(path: Path) -> list[Look]:
     """
     from scenegen.draw.source import read_world
     from scenegen.worlds.place import Place
-    from scenegen.worlds.world import World, movers_in
 
     # a map in which no sensor can be is a map to look at
     if is_map(path):
         return [look_of_world(Place(str(path), read_bounded(path, MAX_ASSET_BYTES)), path.name)]
-    world = read_world(path)
-    if path.suffix == ".xml" and isinstance(world, World):
-        world = replace(world, movers=movers_in(path))
-    return [look_of_world(world, path.name)]
+    return [look_of_world(read_world(path), path.name)]
 
 
 def look_of_world(world: Any, name: str) -> Look:

@@ -22,6 +22,7 @@ from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
 from scenegen.worlds.classes import CLASSES, NOTHING, OTHER, By, Labels
 from scenegen.worlds.drawing import SHAPES
+from scenegen.worlds.traffic import KINDS
 from scenegen.worlds.world import World
 
 GROUPS = tuple(f"group {n}" for n in range(mujoco.mjNGROUP))
@@ -109,7 +110,8 @@ def label_fields(
 ) -> dict[str, NDArray[Any]]:
     """Compute the fields of a sample with the geom and class of its returns and voxels.
 
-    A return is of the geom that its ray meets first, whatever noise made of its range.
+    A return is of the geom that its ray meets first, whatever noise made of its range. Movers are
+    numbered on from the geoms; a voxel that a mover touches is the mover's.
 
     Args:
         sample: Its other fields by name: position, quaternion, ranges, occupancy and origin.
@@ -124,15 +126,23 @@ def label_fields(
     Raises:
         GenerationError: If a geom is of none of the classes.
     """
+    kinds = [] if world.movers is None else world.movers.kind.tolist()
+    of_movers = [labels.classes.index(KINDS[kind - 1]) for kind in kinds]
     # -1, no geom, is the last
-    classes = np.append(classes_of(world, labels), [0]).astype("<u2")
+    classes = np.concatenate([classes_of(world, labels), of_movers, [0]]).astype("<u2")
     directions = rotate(sample["quaternion"], lidar.directions_body)
     origin = np.asarray(sample["position"])[None]
     # of our engines, only this one tells which geom a ray meets
     engine: Any = world.caster(AnalyticEngine.of)
     met = engine.hits(origin, directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
-    voxels = owners(world.solids, sample["occupancy"], grid, sample["origin"]).astype("<i4")
+    standing = sample.get("static_occupancy", sample["occupancy"])
+    voxels = owners(world.solids, standing, grid, sample["origin"]).astype("<i4")
+    if world.movers is not None:
+        for numbers, mover in ((returned, "return_mover"), (voxels, "voxel_mover")):
+            # of a damaged sample, numbers may be any
+            moving = (sample[mover] >= 0) & (sample[mover] < len(kinds))
+            numbers[moving] = world.model.ngeom + sample[mover][moving].astype("<i4")
     return {
         "return_geom": returned,
         "return_class": classes[returned],

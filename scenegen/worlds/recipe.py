@@ -4,13 +4,14 @@ TOML."""
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.parameters import Checked, number, short_repr
@@ -38,7 +39,7 @@ from scenegen.worlds.tables import (
     read_toml,
     sensor_of,
 )
-from scenegen.worlds.traffic import Traffic
+from scenegen.worlds.traffic import KINDS, Traffic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,10 +155,10 @@ class Recipe:
 
     def _check_movers(self, traffic: Traffic) -> None:
         """Raise ValueError if movers do not go with other settings."""
-        if self.world is None:
-            raise ValueError("[movers]: worlds from files have none; generate a kind of worlds")
-        if "labels" in self.parts:
-            raise ValueError("[movers]: have no labels; leave labels out, and see voxel_mover")
+        if (labels := self.parts.get("labels")) is not None:
+            missing = (name for name in KINDS if name not in labels.classes)
+            labels = replace(labels, classes=(*labels.classes, *missing))
+            object.__setattr__(self, "parts", {**self.parts, "labels": labels})
         if traffic.firing_times and not self.scan_s:
             raise ValueError(
                 "[movers] firing_times: this sensor's rays have no times of their own; give "
@@ -167,6 +168,17 @@ class Recipe:
             raise ValueError(
                 "[movers] firing_times: do not go with the noise motion; leave one of the two out"
             )
+
+    def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:
+        """Return where movers belong; see `WorldKind.mover_zones`. Files do not say where vehicles
+        drive, so their worlds have none.
+
+        Args:
+            bounds: (2, 3): the box in which the sensor flies, metres.
+        """
+        if self.world is None:
+            return {"person": [bounds], "drone": [bounds]}
+        return self.world.mover_zones(bounds)
 
     @property
     def traffic(self) -> Traffic | None:

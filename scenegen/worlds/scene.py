@@ -19,10 +19,11 @@ from scenegen.base.reading import read_bounded
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf
+from scenegen.worlds.movers import with_text
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
+from scenegen.worlds.world import compile_world, geometry_digest, movers_of, quiet_mujoco
 
 REPLICATE = re.compile(r"<(/?)replicate\b(?:[^>]*?\bcount\s*=\s*[\"'](\d+)[\"'])?[^>]*?(/?)>")
 """Its groups: a slash at an element's end, its count, and a slash if it is empty."""
@@ -134,6 +135,8 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
         with reraise_as(SceneError, f"{path}: "):
             expected = solids_of(drawn, data)
             mjcf, assets = flatten(drawn, data, materials=materials)  # names must be UTF-8
+            if (movers := movers_of(drawn)) is not None:
+                mjcf = with_text(mjcf, movers)
     with reraise_as(SceneError, of=CorruptFileError):  # readers of the dataset would refuse it
         screen(mjcf, assets, str(path))
     largest = max(map(len, assets.values()), default=0)

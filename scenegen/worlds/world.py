@@ -3,11 +3,10 @@ of its geometry."""
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -222,36 +221,29 @@ def compile_world(
         mujoco.mj_comPos(model, data)
         with reraise_as(SceneError, f"{name}: "):
             solids = solids_of(model, data)
-            movers = _movers_of(model)
+            movers = movers_of(model)
         bounds = _flight_bounds(model, solids, name)
         return World(mjcf, assets, model, data, solids, bounds, movers, unseen)
 
 
-def _movers_of(model: mujoco.MjModel) -> Movers | None:
-    """Read the movers of a document, if it has some. Raises ValueError if they are damaged."""
+def movers_of(model: mujoco.MjModel) -> Movers | None:
+    """Read the movers of a document, if it has some.
+
+    Args:
+        model: The compiled document.
+
+    Returns:
+        The movers, or None.
+
+    Raises:
+        ValueError: If they are damaged.
+    """
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, TEXT)
     if number < 0:
         return None
     first, size = int(model.text_adr[number]), int(model.text_size[number])
     # MuJoCo ends texts by a zero byte
     return read_text(bytes(model.text_data[first : first + size - 1]).decode())
-
-
-def movers_in(path: Path) -> Movers | None:
-    """Read the movers of a document of ours, which worlds from files leave out.
-
-    Args:
-        path: An MJCF file.
-
-    Returns:
-        The movers; None without.
-
-    Raises:
-        SceneError: If they are damaged.
-    """
-    with quiet_mujoco(), reraise_as(SceneError, f"{path}: "):
-        text = mujoco.MjSpec.from_file(str(path)).text(TEXT)
-        return None if text is None else read_text(text.data)
 
 
 def populated(
@@ -276,6 +268,38 @@ def populated(
     # what stands still is the same, and so are its engines
     moving._casters.update(world._casters)
     return moving
+
+
+MOVER_DRAWS = 20
+"""Draws of movers for one world before it is refused."""
+
+
+def with_movers(
+    world: AnyWorld, zones: Zones, traffic: Traffic, *, seed: Sequence[int], name: str
+) -> World:
+    """Add movers to a world that stays the same, unless it has some.
+
+    Args:
+        world: The world.
+        zones, traffic: As for `populated`.
+        seed: Seed of the movers.
+        name: Name of the world, for messages.
+
+    Returns:
+        The world with movers, in its document, too.
+
+    Raises:
+        SceneError: If it is a map, or movers find no room.
+    """
+    if isinstance(world, Place):
+        raise SceneError(f"{name}: is a map of a real place; leave --movers out")
+    if world.movers is not None:
+        return world
+    for draw in range(MOVER_DRAWS):
+        moving = populated(world, zones, traffic, rng=np.random.default_rng([*seed, draw]))
+        if moving is not None:
+            return moving
+    raise SceneError(f"{name}: movers find no room in {MOVER_DRAWS} draws; have fewer of them")
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:

@@ -11,16 +11,19 @@ import scenegen
 from scenegen.base.errors import DatasetError
 from scenegen.dataset.selection import MEASURES
 from scenegen.draw.draw import truth_of
+from scenegen.worlds.labels import labels_by
+from scenegen.worlds.place import VoxelMap, encode_map
 from scenegen.worlds.recipe import read_recipe
 from scenegen.worlds.tables import named_lidar
-from scenegen.worlds.traffic import PRESETS, Traffic
-from tests.command_line import done
+from scenegen.worlds.traffic import KINDS, PRESETS, Traffic
+from tests.command_line import ROOT, code_of, done
 from tests.conftest import dataset_in, small_recipe
 from tests.refusals import refuses, refuses_command
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
+WAREHOUSE = ROOT / "scenes" / "warehouse.xml"
 CROWD = Traffic(people=(8, 10), drones=(4, 6), after_s=2.0)
 
 
@@ -241,14 +244,81 @@ def test_movers_of_a_dataset_are_scanned_again_to_the_bit(moving, tmp_path, caps
     assert first.sha256() == second.sha256()
 
 
-def test_labels_beside_movers_are_refused(tmp_path, capsys):
-    words = f"generate --kind pillar --n 1 --movers light --labels class -o {tmp_path}/d"
-    refuses_command(capsys, words)
+@pytest.fixture(scope="module")
+def labelled(once):
+    recipe = moving_recipe(noise={"stages": "dropout:0.1"})
+    parts = {"labels": labels_by("class", ()), **recipe.parts}
+    recipe = dataclasses.replace(recipe, parts=parts)
+    return once("moving_labels", lambda folder: dataset_in(folder / "d", recipe)) / "d"
 
 
-def test_worlds_from_files_have_no_movers(tmp_path, capsys):
-    words = f"generate --scene scenes/warehouse.xml --n 1 --movers light -o {tmp_path}/d"
-    refuses_command(capsys, words)
+def test_labels_name_the_kind_of_a_mover(labelled):
+    samples, seen = scenegen.load(labelled), 0
+    names = samples.dataset.manifest.parts["labels"].classes
+    for sample in samples:
+        kinds = np.append(sample.mover_kind, 0)
+        for noun in ("return", "voxel"):
+            mover, label = (getattr(sample, f"{noun}_{part}") for part in ("mover", "class"))
+            for number, kind in enumerate(KINDS, start=1):
+                own = (mover >= 0) & (kinds[mover] == number)
+                assert_array_equal(label == names.index(kind), own)
+                seen += np.count_nonzero(own)
+    assert seen > 20
+
+
+def test_labels_beside_movers_pass_every_check(labelled):
+    assert failed(labelled) == {}
+
+
+@pytest.mark.parametrize("name", ["voxel_class", "return_geom"])
+def test_a_changed_label_of_a_mover_is_found(labelled, tmp_path, name):
+    folder = forge.copy(labelled, tmp_path / "d")
+
+    def change(arrays):
+        moving = arrays[f"{name.split('_')[0]}_mover"][...] >= 0
+        values = arrays[name][...]
+        values[moving] -= 1
+        arrays[name][...] = values
+
+    forge.edit(folder, "train-00000.h5", change)
+    assert "parts" in failed(folder)
+
+
+SCENE = "generate --scene {} --n 3 --val 0 --test 0 --seed 1 --quiet --movers light -o {}"
+
+
+@pytest.fixture(scope="module")
+def from_file(once, tmp_path_factory):
+    return (
+        once("moving_scene", lambda folder: code_of(*SCENE.format(WAREHOUSE, folder / "d").split()))
+        / "d"
+    )
+
+
+def test_worlds_from_files_have_movers(from_file):
+    assert failed(from_file) == {}
+    kinds = {int(kind) for sample in scenegen.load(from_file) for kind in sample.mover_kind}
+    assert kinds == {0, 1, 3}
+
+
+def test_a_written_world_keeps_its_movers(from_file, tmp_path, capsys):
+    done(capsys, f"world {from_file} 0 -o {tmp_path}/w.xml")
+    done(capsys, SCENE.format(f"{tmp_path}/w.xml", f"{tmp_path}/d"))
+    for first, second in zip(scenegen.load(from_file), scenegen.load(tmp_path / "d"), strict=True):
+        assert first.sha256() == second.sha256()
+
+
+def test_a_world_with_movers_is_not_generated_without(from_file, tmp_path, capsys):
+    done(capsys, f"world {from_file} 0 -o {tmp_path}/w.xml")
+    refuses_command(capsys, f"generate --scene {tmp_path}/w.xml --n 1 -o {tmp_path}/d --quiet")
+    refuses_command(capsys, f"fly world {tmp_path}/w.xml --flights 1 -o {tmp_path}/f --quiet")
+
+
+def test_maps_have_no_movers(tmp_path, capsys):
+    voxels = VoxelMap(np.full((40, 40, 20), 1, np.uint8), 0.2, np.zeros(3))
+    (tmp_path / "map.npz").write_bytes(encode_map(voxels, "map"))
+    refuses_command(capsys, SCENE.format(f"{tmp_path}/map.npz", f"{tmp_path}/d"))
+    refuses_command(capsys, f"scan {tmp_path}/map.npz --pose 1,1,1,0 --movers light --quiet")
 
 
 def test_movers_that_find_no_room_are_named():

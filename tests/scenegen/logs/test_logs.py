@@ -15,10 +15,11 @@ import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import MID_360
+from lidarsim.voxelization import unknown_grid
 from scenegen.draw.source import read_world
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX
-from scenegen.logs.fuse import ingest
+from scenegen.logs.fuse import _count, _settle, ingest
 from scenegen.logs.log import Log
 from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, matrix_of, record, write_log
@@ -222,6 +223,22 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     both = [np.linalg.norm(occupied - pose.position, axis=1) for pose in (here, far)]
     off = abs(np.minimum(*both) - 6.03)
     assert (off < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
+
+
+@pytest.mark.parametrize(("beside", "states"), [(True, [2, 1, 1]), (False, [1, 2, 1])])
+def test_free_beside_a_return_says_nothing_against_another(beside, states):
+    """A voxel with one hit, and two to its side, free in fifty scans; a return lies between them,
+    or far off."""
+    hits, misses = np.zeros((2, 9, 9, 9), np.uint8)
+    cells = [(1, 1, 1), (1, 2, 1) if beside else (7, 7, 7), (1, 3, 1)]
+    seen = unknown_grid(GridSpec(shape=(9, 9, 9)), np.zeros(3))
+    seen.observed[cells[0]] = True
+    for _ in range(51):
+        _count(hits, misses, np.zeros(3, int), seen)
+        seen.observed[:], seen.free[:] = False, False
+        seen.observed[cells[1]], seen.free[cells[0]], seen.free[cells[2]] = True, True, True
+    _settle(hits, misses, 0.2)
+    assert [hits[1, 1, 1], hits[7, 7, 7] or 1, hits[1, 3, 1]] == states
 
 
 NEAR = Fusing(every=2, reach_m=10, rise_m=5)

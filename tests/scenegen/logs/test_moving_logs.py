@@ -1,0 +1,157 @@
+"""Logs of worlds with movers: boxes and labels are read by code of its own, and hold the points of
+their movers."""
+
+import dataclasses
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarsim import AnalyticEngine, Pose
+from lidarsim.noise.chain import Noise
+from scenegen.draw.source import named_world
+from scenegen.logs import Cruise
+from scenegen.logs.record import cruise_poses, out_of_the_way, period_s, record, write_log
+from scenegen.worlds.tables import named_lidar
+from tests.command_line import done
+from tests.scenegen.logs.test_logs import ROOM, SENSOR
+
+CLASSES = {"Pedestrian": 254, "Car": 252, "Misc": 259}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """A world with movers, a sensor, and a flight."""
+    folder = tmp_path_factory.mktemp("moving")
+    (folder / "room.xml").write_text(ROOM)
+    (folder / "mine.toml").write_text(SENSOR)
+    sensor = named_lidar(str(folder / "mine.toml"))
+    world = named_world(str(folder / "room.xml"), 3, movers="dense")
+    poses = cruise_poses(world, Cruise(length_m=6), period_s(sensor), seed=3)
+    return out_of_the_way(world, poses, period_s(sensor)), sensor, poses
+
+
+def recorded(flown, noise="none", **more):
+    world, sensor, poses = flown
+    return record(world, AnalyticEngine.of, sensor, poses, Noise.parse(noise), seed=0, **more)
+
+
+def inside(points, middle, yaw, size, slack):
+    """Which points (n, 3) lie in an upright box."""
+    x, y, z = (points - middle).T
+    along, aside = math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x
+    return (np.abs([along, aside, z]) <= size[:, None] / 2 + slack).all(axis=0)
+
+
+def kitti_boxes(folder):
+    """Frame, track, class, middle (3,), yaw and size (3,) of each line of label_02.txt."""
+    for line in (folder / "label_02.txt").read_text().splitlines():
+        frame, track, kind, *numbers = line.split()
+        high, wide, long, x, y, z, yaw = map(float, numbers[7:])
+        middle = np.array([x, y, z + high / 2])
+        yield int(frame), int(track), CLASSES[kind], middle, yaw, np.array([long, wide, high])
+
+
+def test_boxes_of_a_folder_hold_the_points_of_their_track(flown, tmp_path):
+    write_log(tmp_path / "log", recorded(flown))
+    seen = 0
+    for frame, track, number, middle, yaw, size in kitti_boxes(tmp_path / "log"):
+        points = np.fromfile(tmp_path / f"log/velodyne/{frame:06d}.bin", "<f4").reshape(-1, 4)
+        labels = np.fromfile(tmp_path / f"log/labels/{frame:06d}.label", "<u4")
+        assert set(np.unique(labels[labels >> 16 == 0])) == {99}
+        own = labels >> 16 == track
+        assert (labels[own] & 0xFFFF == number).all()
+        within, sure = (inside(points[:, :3], middle, yaw, size, s) for s in (1e-4, -1e-4))
+        assert within[own].all()
+        assert own[sure].all()
+        seen += np.count_nonzero(own)
+    assert seen > 500
+
+
+def test_markers_of_a_recording_hold_the_points_of_their_id(flown, tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
+    from rosbags.typesys import Stores, get_typestore
+
+    write_log(tmp_path / "log.mcap", recorded(flown))
+    messages = {}
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with rosbags.AnyReader([tmp_path / "log.mcap"], default_typestore=store) as reader:
+        for connection, time, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            messages.setdefault(connection.topic, []).append((time, message))
+    poses = [Pose(pose.position, pose.quaternion) for pose in flown[2]]
+    for pose, (_, cloud), (_, boxes) in zip(
+        poses, messages["/points"], messages["/movers"], strict=True
+    ):
+        fields = {field.name: field.offset for field in cloud.fields}
+        rows = cloud.data.reshape(-1, cloud.point_step)
+        points = rows[:, :12].copy().view("<f4") @ turn_of(pose).T + pose.position
+        track = rows[:, fields["mover"] : fields["mover"] + 2].copy().view("<u2")[:, 0]
+        for box in boxes.markers:
+            place, turn, scale = box.pose.position, box.pose.orientation, box.scale
+            middle, size = np.array([place.x, place.y, place.z]), [scale.x, scale.y, scale.z]
+            yaw = 2 * math.atan2(turn.z, turn.w)
+            within, sure = (
+                inside(points, middle, yaw, np.array(size), slack) for slack in (1e-4, -1e-4)
+            )
+            own = track == box.id
+            assert box.header.frame_id == "map"
+            assert within[own].all()
+            assert own[sure].all()
+
+
+def turn_of(pose):
+    """The matrix of a level pose."""
+    w, _, _, z = pose.quaternion
+    return np.array([[w * w - z * z, -2 * w * z, 0], [2 * w * z, w * w - z * z, 0], [0, 0, 1]])
+
+
+def test_with_moving_each_point_is_on_its_mover_at_its_time(flown):
+    """And the others are on none."""
+    movers, found = flown[0].movers, 0
+    for scan in itertools.islice(recorded(flown, moving=True, corrected=True), 0, None, 8):
+        points = scan.pose.position + scan.points @ turn_of(scan.pose).T
+        tracks, times = scan.more["mover"], scan.more["t"]
+        for point, track, t in zip(points, tracks, times, strict=True):
+            gaps = movers.gaps_m(point, scan.time_s + float(t))
+            assert gaps[track - 1] < 1e-3 if track else gaps.min() > 0
+        for box in scan.boxes:
+            own = times[tracks == box.track]
+            assert box.time_s == pytest.approx(scan.time_s + (own.mean() if len(own) else 0))
+        found += np.count_nonzero(tracks)
+    assert found > 50
+
+
+def test_noise_moves_no_point_to_another_mover(flown):
+    clean, noisy = (
+        np.concatenate([s.more["mover"] for s in recorded(flown, n)])
+        for n in ("none", "range:0.02")
+    )
+    assert len(clean) == len(noisy)
+    assert (clean == noisy).mean() > 0.9999
+
+
+def test_no_mover_comes_near_the_sensor(flown):
+    world, sensor, poses = flown
+    for number, pose in enumerate(poses):
+        gaps = world.movers.gaps_m(pose.position, number * period_s(sensor))
+        assert gaps.min() > 0.5
+
+
+def test_a_recorded_log_tells_of_its_movers(standing, capsys):
+    words = "scan pillar --seed 2 --movers light --flight --sequence --length 2 --json"
+    facts = json.loads(done(capsys, f"{words} --lidar velodyne-vlp-16 -o log"))
+    tracks = {line.split()[1] for line in Path("log/label_02.txt").read_text().splitlines()}
+    assert len(tracks) == facts["movers"] > 0
+    assert len([*Path("log/labels").iterdir()]) == facts["scans"]
+
+
+def test_logs_of_standing_worlds_have_no_labels(flown, tmp_path):
+    world = dataclasses.replace(flown[0], movers=None)
+    (scan,) = record(world, AnalyticEngine.of, flown[1], flown[2][:1], Noise(), seed=0)
+    write_log(tmp_path / "log", [scan])
+    assert not (tmp_path / "log" / "labels").exists()
