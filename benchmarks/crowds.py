@@ -39,8 +39,9 @@ FIGURES: dict[str, Callable[[Flown], float]] = {
     "collision": lambda one: one.outcome == "collision",
     "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
     "score": lambda one: one.score,
-    "least clearance, m": lambda one: one.min_clearance_m,
 }
+AMOUNTS = ("time, s", "score")
+"""Figures that are not 1 or 0."""
 QUESTIONS = {
     "forgetting old returns": ("forgetting", "optimistic"),
     "braking for the unseen": (f"forgetting{BRAKES}", "forgetting"),
@@ -86,7 +87,16 @@ def main() -> None:
     }
     lines = []
     for density in given.densities:
-        rows = [(f"`{name}`", cells(figures[density, name], worlds)) for name in robots]
+        rows = [
+            (
+                f"`{name}`",
+                [
+                    told(values, worlds, ".2f", "amount" if what in AMOUNTS else "outcome")
+                    for what, values in figures[density, name].items()
+                ],
+            )
+            for name in robots
+        ]
         lines += titled(f"## Flights among movers, {density}", FIGURES, rows)
     everywhere = {
         name: np.mean([figures[density, name]["success"] for density in given.densities], axis=0)
@@ -122,15 +132,6 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
         fly_courses(courses, work, name, None, file, crew_of(ALONE))
         print(f"{density}, {name}: flown", flush=True)
     return [one for _, several in read_recording(file).courses for one in several]
-
-
-def cells(figures: dict[str, Floats], worlds: Ints) -> list[str]:
-    """The figures of a robot, with intervals over worlds."""
-    scale = {"success": "outcome", "struck": "outcome", "collision": "outcome"}
-    return [
-        told(values, worlds, ".2f", scale.get(what, "amount"))  # type: ignore[arg-type]
-        for what, values in figures.items()
-    ]
 
 
 def tests(success: dict[str, Floats], worlds: Ints) -> list[str]:

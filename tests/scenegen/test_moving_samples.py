@@ -311,7 +311,6 @@ def test_a_written_world_keeps_its_movers(from_file, tmp_path, capsys):
 def test_a_world_with_movers_is_not_generated_without(from_file, tmp_path, capsys):
     done(capsys, f"world {from_file} 0 -o {tmp_path}/w.xml")
     refuses_command(capsys, f"generate --scene {tmp_path}/w.xml --n 1 -o {tmp_path}/d --quiet")
-    refuses_command(capsys, f"fly world {tmp_path}/w.xml --flights 1 -o {tmp_path}/f --quiet")
 
 
 def test_maps_have_no_movers(tmp_path, capsys):
