@@ -372,32 +372,20 @@ TURNS = {
 
 def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool:
     """Whether balls around two movers stay `GAP_M` apart for a period."""
-    both = _joined([first, second])
-    heights = np.array([body.ball[0] for body, _ in (first, second)])
-    near = GAP_M + sum(body.ball[1] for body, _ in (first, second))
-    speeds = [
-        math.sqrt(max(float((_speeds(course) ** 2).sum(axis=-1).max()), 1e-12))
-        for _, course in (first, second)
-    ]
+    heights = first[0].ball[0], second[0].ball[0]
+    near = GAP_M + first[0].ball[1] + second[0].ball[1]
+    speed = max(first[1].fastest_mps, 1e-6) + max(second[1].fastest_mps, 1e-6)
     # endless courses: both are looked at within one period
-    courses = math.inf, both.piece_start, both.begin_s, both.course
-    return bool(_are_apart(courses, PERIOD_S, heights, near, sum(speeds)))
-
-
-def _speeds(course: Course) -> Floats:
-    """Velocities (2, P, 3) at the begin and end of every piece; between, none is faster."""
-    lengths = np.diff(np.append(course.begin_s, PERIOD_S))[:, None]
-    linear, square = course.pieces[:, :3, 1], course.pieces[:, :3, 2]
-    return np.stack([linear, linear + 2.0 * lengths * square])
+    return bool(_are_apart(first[1].table, second[1].table, PERIOD_S, heights, near, speed))
 
 
 @kernel
-def _are_apart(courses, end, heights, near, speed):
+def _are_apart(first, second, end, heights, near, speed):
     """Walk in steps that the two cannot use up; a gap below a millimetre counts as none."""
     time = 0.0
     while time < end:
-        _, _, x, y, z = place(0, time, courses)
-        _, _, u, v, w = place(1, time, courses)
+        _, _, x, y, z = place(0, time, first)
+        _, _, u, v, w = place(0, time, second)
         dx, dy, dz = u - x, v - y, w + heights[1] - z - heights[0]
         gap = math.sqrt(dx * dx + dy * dy + dz * dz) - near
         if gap < 1e-3:
