@@ -82,7 +82,8 @@ class _Writer:
         self.begins.append(self.ticks)
         self.channels += [(x, u, a, 0.0) for x, u, a in zip(place, velocity, half, strict=True)]
         # a product, for the sign of zero
-        self.channels += [c if isinstance(c, tuple) else (c, c * 0.0, c * 0.0, c * 0.0) for c in heading]
+        for c in heading:
+            self.channels.append(c if isinstance(c, tuple) else (c, c * 0.0, c * 0.0, c * 0.0))
         self.ticks += ticks
 
     def course(self) -> Course:
