@@ -433,6 +433,12 @@ def pose(course, piece, u):
 
 
 @kernel
+def location(course, piece, u):
+    """x, y, z of a mover in a piece of its course, metres; see `pose`."""
+    return _value(course, piece, 0, u), _value(course, piece, 1, u), _value(course, piece, 2, u)
+
+
+@kernel
 def velocity(course, piece, u):
     """Compute a mover's velocity in a piece of its course, x, y, z in metres a second.
 

@@ -431,8 +431,8 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
         begin_s = movers.begin_s[first:last]
         course = movers.course[first:last].reshape(last - first, -1)
         entries.append(
-            f'{{"kind":"{KINDS[kind - 1]}","solids":{_json(solids)},"begin_s":{_json(begin_s)},'
-            f'"course":{_json(course)}}}'
+            f'{{"kind":"{KINDS[kind - 1]}","solids":{_table(solids)},"begin_s":{_list(begin_s)},'
+            f'"course":{_table(course)}}}'
         )
     text = f'{{"period_s":{movers.period_s},"movers":[{",".join(entries)}]}}'
     element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
@@ -440,14 +440,19 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
     return before + element.encode() + after
 
 
-def _json(table: Floats) -> str:
-    """Write a table of one or two dimensions; equal rows, which rounds have, only once."""
+def _table(rows: Floats) -> str:
+    """Write a table in JSON; equal rows, as rounds have, only once."""
     texts = dict[bytes, str]()
-    for row in table:
+    for row in rows:
         key = row.tobytes()
         if key not in texts:
-            texts[key] = json.dumps(row.tolist(), separators=(",", ":"))
-    return f"[{','.join([texts[row.tobytes()] for row in table])}]"
+            texts[key] = _list(row)
+    return f"[{','.join([texts[row.tobytes()] for row in rows])}]"
+
+
+def _list(values: Floats) -> str:
+    """Write finite numbers in JSON, quicker than `json`."""
+    return str(values.tolist()).replace(" ", "")
 
 
 def read_text(text: str) -> Movers:
