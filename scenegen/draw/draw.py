@@ -336,8 +336,10 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe, time_s: float = 0.0) -
     if isinstance(world, World) and world.movers is not None:
         standing = truth["occupancy"]
         mover = mover_voxels(world.movers, recipe.grid, origin, time_s)
+        occupied = mover >= 0
+        occupied |= standing
         truth = {
-            "occupancy": standing | (mover >= 0),
+            "occupancy": occupied,
             "static_occupancy": standing,
             "voxel_mover": mover,
         }

@@ -129,6 +129,11 @@ def _turn(writer: _Writer, place: Vector, start: Pair, end: Pair, rate: float) -
     writer.add(ticks, place, _smooth(start, chord, ticks * TICK_S))
 
 
+def _unit(x: float, y: float) -> Pair:
+    length = math.sqrt(x * x + y * y)
+    return x / length, y / length
+
+
 def _dot(first: Pair, second: Pair) -> float:
     return first[0] * second[0] + first[1] * second[1]
 
@@ -155,16 +160,20 @@ def from_stop_to_stop(
     Returns:
         The course; None if the tour takes longer than `PERIOD_S`.
     """
-    legs = np.roll(points, -1, axis=0) - points
-    lengths = np.sqrt((legs * legs).sum(axis=1))
-    ways = (legs / lengths[:, None])[:, :2]
-    headings: list[Pair] = (ways / np.sqrt((ways * ways).sum(axis=1))[:, None]).tolist()
+    places: list[Vector] = points.tolist()
+    legs: list[Vector] = [
+        (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+        for a, b in zip(places, [*places[1:], places[0]], strict=True)
+    ]
+    lengths = [math.sqrt(x * x + y * y + z * z) for x, y, z in legs]
+    headings = [
+        _unit(leg[0] / length, leg[1] / length) for leg, length in zip(legs, lengths, strict=True)
+    ]
     for n in range(1, len(points) if backs_up else 0):
         if _dot(headings[n], headings[n - 1]) < 0:
             headings[n] = -headings[n][0], -headings[n][1]
-    places: list[Vector] = points.tolist()
     writer = _Writer()
-    for n, (leg, length) in enumerate(zip(legs.tolist(), lengths.tolist(), strict=True)):
+    for n, (leg, length) in enumerate(zip(legs, lengths, strict=True)):
         writer.add(_ticks(waits_s[n]), places[n], headings[n - 1])
         _turn(writer, places[n], headings[n - 1], headings[n], rate)
         # rising and falling speed, with constant speed between them where the leg is long enough
