@@ -94,8 +94,8 @@ class View(NamedTuple):
 
 ADVICE = {
     "no_flight": "no flight fits between the solids: {fewer}, or lower flight.robot_radius_m",
-    "few_movers": "movers find no room: lower the least numbers of people, vehicles or drones, "
-    "or {fewer}",
+    "few_movers": "movers find no room: lower the least numbers or the speeds of people, "
+    "vehicles or drones, or {fewer}",
     "few_solids": "worlds are too empty: {more}, or lower accept.min_solids",
     "few_viewpoints": "flights give too few viewpoints: lower flight.viewpoints, flight.spacing_m, "
     "accept.min_occupied_share or accept.min_returned_share; in a map of a real place, "

@@ -114,7 +114,7 @@ def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
             "lower after_s or the number of scans, or raise sensor_mps"
         )
     owner = np.repeat(np.arange(len(part)), counts)
-    pieces = np.column_stack([part.begin_s, part.course.reshape(len(owner), -1)])
+    pieces = np.column_stack([part.begin_s, part.course.reshape(-1, CHANNELS * COEFFICIENTS)])
     course[owner, _slots(owner, part.piece_start)] = pieces
     return {"mover_kind": kind, "mover_solids": solids, "mover_course": course}
 
