@@ -116,11 +116,10 @@ class Movers:
         Returns:
             Metres (n,) to the nearest ball that holds a mover; inf without movers.
         """
-        nearest = np.full(len(points), np.inf)
-        for x, y, z, radius2 in self._balls_while(time_s, time_s + lasting_s):
-            away = np.sqrt(((points - (x, y, z)) ** 2).sum(axis=1)) - math.sqrt(radius2)
-            nearest = np.minimum(nearest, away)
-        return nearest
+        balls = self._balls_while(time_s, time_s + lasting_s)
+        between = points[:, None] - balls[:, :3]
+        away = np.sqrt((between * between).sum(axis=2)) - np.sqrt(balls[:, 3])
+        return np.min(away, axis=1, initial=np.inf)
 
     def window(self, begin_s: float, end_s: float) -> "Movers":
         """Cut the courses to an interval of time from 0 on. Within it, poses have the same bits.
@@ -133,17 +132,18 @@ class Movers:
             Movers that do not repeat.
         """
         starts, begins, courses = [0], list[Floats](), list[Floats]()
+        repeats = math.isfinite(self.period_s)
+        if repeats:
+            rounds = np.arange(begin_s // self.period_s, end_s // self.period_s + 1)
         for first, last in zip(self.piece_start[:-1], self.piece_start[1:], strict=True):
-            begin, course = self.begin_s[first:last], self.course[first:last]
-            if math.isfinite(self.period_s):
-                rounds = np.arange(begin_s // self.period_s, end_s // self.period_s + 1)
+            begin = self.begin_s[first:last]
+            if repeats:
                 # begins are multiples of a power of two, as periods are: sums are exact
                 begin = (rounds[:, None] * self.period_s + begin).reshape(-1)
-                course = np.tile(course, (len(rounds), 1, 1))
-            low = max(int(np.searchsorted(begin, begin_s, side="right")) - 1, 0)
-            high = int(np.searchsorted(begin, end_s, side="right"))
+            after, high = np.searchsorted(begin, (begin_s, end_s), side="right").tolist()
+            low = max(after - 1, 0)
             begins.append(begin[low:high])
-            courses.append(course[low:high])
+            courses.append(self.course[first + np.arange(low, high) % (last - first)])
             starts.append(starts[-1] + high - low)
         return replace(
             self,
@@ -519,6 +519,12 @@ def pose(course, piece, u):
         hx / length,
         hy / length,
     )
+
+
+@kernel
+def location(course, piece, u):
+    """x, y, z of a mover in a piece of its course, metres; see `pose`."""
+    return _value(course, piece, 0, u), _value(course, piece, 1, u), _value(course, piece, 2, u)
 
 
 @kernel

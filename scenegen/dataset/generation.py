@@ -10,7 +10,6 @@ from typing import Any
 from lidarsim import Sensor
 from lidarsim.engines import DEFAULT
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import short_repr
 from scenegen import SPLITS
 from scenegen.base.errors import (
     DatasetError,
@@ -29,8 +28,8 @@ from scenegen.dataset.like import plan_like
 from scenegen.dataset.read import AnyDataset
 from scenegen.dataset.state import Plan
 from scenegen.draw.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
-from scenegen.draw.parts import PARTS, resolved
-from scenegen.draw.source import DrawnWorlds, SceneWorlds, read_scenes
+from scenegen.draw.parts import resolved
+from scenegen.draw.source import DrawnWorlds, SceneWorlds, Source, read_scenes
 from scenegen.worlds.kinds import graded
 from scenegen.worlds.recipe import Recipe, preset, read_recipe
 from scenegen.worlds.tables import named_lidar
@@ -185,8 +184,6 @@ def plan_generation(
         )
     if kind is not None and scene is not None:
         raise UsageError("a kind draws worlds and a scene has them; give one of the two")
-    for name in parts.keys() - PARTS.keys():
-        raise UsageError(f"unknown option {short_repr(name)}; expected {', '.join(PARTS)}")
     mapping = mapping or None  # without parameters, the recipe's mapping stays
     sensing: Json = {"lidar": lidar, "noise": noise, "mapping": mapping}
     storage: Json = {"compact": compact}
@@ -225,7 +222,7 @@ def plan_generation(
                 f"{recipe}: is of several kinds, not of {kind_name}; leave --kind out"
             )
         components = [
-            (_with_parts(part_recipe, parts, DrawnWorlds(part_recipe)), weight)
+            (with_parts(part_recipe, parts, DrawnWorlds(part_recipe)), weight)
             for part_recipe, weight in read_components(recipe_file, seed=seed, **preset_options)
         ]
         counts = _counts(number, val, test, single_world=False)
@@ -260,7 +257,7 @@ def plan_generation(
     else:
         source, single_world = DrawnWorlds(base_recipe), False
         name = base_recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    base_recipe = _with_parts(base_recipe, parts, source)
+    base_recipe = with_parts(base_recipe, parts, source)
     if base_recipe.parts and isinstance(source, SceneWorlds) and source.maps:
         raise SceneError(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
@@ -321,11 +318,21 @@ def _counts(n: int, val: int | None, test: int | None, *, single_world: bool) ->
     }
 
 
-def _with_parts(
-    recipe: Recipe, parts: Mapping[str, Any], source: DrawnWorlds | SceneWorlds
-) -> Recipe:
-    """Add the optional parts of samples that the user chose to a recipe. Raises RecipeError if they
-    do not go with it, or with each other."""
+def with_parts(recipe: Recipe, parts: Mapping[str, Any], source: Source) -> Recipe:
+    """Add the optional parts of samples that the user chose to a recipe.
+
+    Args:
+        recipe: The recipe.
+        parts: Value of each part's option, by its name in `PARTS`.
+        source: The worlds.
+
+    Returns:
+        The recipe with their settings.
+
+    Raises:
+        RecipeError: if they do not go with it, or with each other.
+        UsageError: if there is no such part.
+    """
     chosen = resolved(parts, source.class_names)
     for name in chosen.keys() & recipe.parts.keys():
         raise RecipeError(

@@ -95,8 +95,8 @@ class View(NamedTuple):
 
 ADVICE = {
     "no_flight": "no flight fits between the solids: {fewer}, or lower flight.robot_radius_m",
-    "few_movers": "movers find no room: lower the least numbers of people, vehicles or drones, "
-    "or {fewer}",
+    "few_movers": "movers find no room: lower the least numbers or the speeds of people, "
+    "vehicles or drones, or {fewer}",
     "few_solids": "worlds are too empty: {more}, or lower accept.min_solids",
     "few_viewpoints": "flights give too few viewpoints: lower flight.viewpoints, flight.spacing_m, "
     "accept.min_occupied_share or accept.min_returned_share; in a map of a real place, "
@@ -343,8 +343,10 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe, time_s: float = 0.0) -
     if isinstance(world, World) and world.movers is not None:
         standing = truth["occupancy"]
         mover = mover_voxels(world.movers, recipe.grid, origin, time_s)
+        occupied = mover >= 0
+        occupied |= standing
         truth = {
-            "occupancy": standing | (mover >= 0),
+            "occupancy": occupied,
             "static_occupancy": standing,
             "voxel_mover": mover,
         }

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, GridSpec
-from lidarsim.grid import Field, Floats, Mask
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, MovingCaster
 from lidarsim.pose import rotate
 from scenegen.base.errors import DatasetError, GenerationError, MissingPartError
@@ -59,7 +59,7 @@ def mover_voxels(movers: Movers, grid: GridSpec, origin: Floats, time_s: float) 
         first, last = movers.solid_start[number : number + 2]
         names = ("shape", "size", "position", "rotation", "lower", "upper", "geom")
         own = {name: getattr(solids, name)[first:last] for name in names}
-        voxels[rasterize(replace(solids, **own), grid, origin)] = number
+        np.copyto(voxels, number, where=rasterize(replace(solids, **own), grid, origin))
     return voxels
 
 
@@ -104,20 +104,24 @@ def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
     solids = np.full((MAX_MOVERS, MAX_SOLIDS, 7), NO_SHAPE)
     course = np.full((MAX_MOVERS, MAX_PIECES, 1 + CHANNELS * COEFFICIENTS), np.nan)
     kind[: len(part)] = part.kind
-    for m in range(len(part)):
-        own = part.owner == m
-        rows = np.column_stack([part.shape[own], part.size[own], part.offset[own]])
-        solids[m, : len(rows)] = rows
-        first, last = part.piece_start[m : m + 2]
-        if last - first > MAX_PIECES:
-            raise GenerationError(
-                f"a mover's course has {last - first} pieces from the earliest scan to "
-                f"movers.after_s = {end_s - begin_s:g} s later, and a sample stores {MAX_PIECES}; "
-                "lower after_s or the number of scans, or raise sensor_mps"
-            )
-        course[m, : last - first, 0] = part.begin_s[first:last]
-        course[m, : last - first, 1:] = part.course[first:last].reshape(last - first, -1)
+    rows = np.column_stack([part.shape, part.size, part.offset])
+    solids[part.owner, _slots(part.owner, part.solid_start)] = rows
+    counts = np.diff(part.piece_start)
+    if (counts > MAX_PIECES).any():
+        raise GenerationError(
+            f"a mover's course has {counts.max()} pieces from the earliest scan to "
+            f"movers.after_s = {end_s - begin_s:g} s later, and a sample stores {MAX_PIECES}; "
+            "lower after_s or the number of scans, or raise sensor_mps"
+        )
+    owner = np.repeat(np.arange(len(part)), counts)
+    pieces = np.column_stack([part.begin_s, part.course.reshape(-1, CHANNELS * COEFFICIENTS)])
+    course[owner, _slots(owner, part.piece_start)] = pieces
     return {"mover_kind": kind, "mover_solids": solids, "mover_course": course}
+
+
+def _slots(owner: Ints, start: Ints) -> Ints:
+    """Number items that lie owner by owner, of each anew."""
+    return np.asarray(np.arange(len(owner)) - start[owner])
 
 
 def stored_movers(sample: Any) -> Movers:

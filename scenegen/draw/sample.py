@@ -319,10 +319,10 @@ class Sample:
                 continue
             group_hash = hashlib.sha256(digest)
             for name in (name for name in names if name not in DERIVED):
-                values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
+                values = np.asarray(getattr(self, name), FIELDS[name]["dtype"], order="C")
                 # grids that every sample has count by their bits
                 packed = values.dtype == bool and not group
-                group_hash.update((np.packbits(values) if packed else values).tobytes())
+                group_hash.update((np.packbits(values) if packed else values).data)
             # chained: samples without optional groups keep the digest of the format without these
             digest = group_hash.digest()
         return digest

@@ -84,6 +84,10 @@ class Source(Protocol):
         """Identify the source in the manifest; {} if the recipe says all."""
         return {}
 
+    def class_names(self, by: By) -> set[str]:
+        """Classes of the worlds' geoms."""
+        return set()
+
 
 @dataclass(frozen=True)
 class DrawnWorlds(Source):

@@ -18,6 +18,7 @@ from scenegen.base.errors import DatasetError, check_int
 from scenegen.base.files import Json
 from scenegen.base.limits import MAX_BATCH, MAX_SAMPLES, MAX_SEED, MAX_WORKERS
 from scenegen.base.reading import sha256_of
+from scenegen.dataset.generation import with_parts
 from scenegen.dataset.manifest import schema_of
 from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.draw.sample import Sample, Samples, Schema, rng_of
@@ -342,6 +343,7 @@ def stream(
     samples: int = 10**9,
     workers: int = 0,
     engine: str = DEFAULT,
+    **parts: Any,
 ) -> Stream:
     """Make a stream: samples by number, drawn on access. The first n are those that
     `scenegen.generate` makes with this seed and split. It does not need torch.
@@ -357,6 +359,7 @@ def stream(
         workers: Number of processes that draw in advance; with 0, samples are drawn on access in
             this process.
         engine: Name of the engine that casts rays.
+        parts: Optional parts of samples, as of `scenegen.generate`, such as `movers="light"`.
 
     Returns:
         The stream. Reading a sample may raise GenerationError, IndexError and TypeError.
@@ -365,19 +368,24 @@ def stream(
         RecipeError: if a recipe is invalid.
         SceneError: if a file cannot be used as a world.
         DatasetError: if a number, the split or the engine is invalid.
+        UsageError: if there is no such part.
     """
     seed = check_int("stream: seed =", seed, 0, MAX_SEED)
-    parts = [part for pair in parts_of(worlds) for part in _unmixed(*pair, seed)]
+    entries = [entry for pair in parts_of(worlds) for entry in _unmixed(*pair, seed)]
     components = [
-        component_of(source, seed=seed, split=split, engine=engine) for source, _ in parts
+        component_of(source, seed=seed, split=split, engine=engine) for source, _ in entries
     ]
     # several components of one kind must not draw the same worlds
     part_seeds = seeds([component.recipe.kind for component in components], seed)
-    for n, (source, _) in enumerate(parts):
+    for n, (source, _) in enumerate(entries):
         # a Component that the user made keeps its seed
         if isinstance(components[n].source, DrawnWorlds) and components[n] is not source:
             components[n] = replace(components[n], seed=part_seeds[n])
-    mixture = Mixture(components, [weight for _, weight in parts])
+    if parts:
+        components = [
+            replace(each, recipe=with_parts(each.recipe, parts, each.source)) for each in components
+        ]
+    mixture = Mixture(components, [weight for _, weight in entries])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers)
 
 

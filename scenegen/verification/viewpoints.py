@@ -18,6 +18,8 @@ PLACE = np.dtype([("place", "<i8"), ("position", "<f8", 3)])
 world."""
 ROUNDING_M = 1e-9
 """Tolerance of distances, metres."""
+ROUNDING_S = 1e-9
+"""Tolerance of times, seconds."""
 
 
 def _keep(sample: Sample, page: Page, record: NDArray[Any]) -> None:
@@ -73,6 +75,20 @@ def _flown(sample: Sample, page: Page) -> None:
         (steps_m <= spacing_m + ROUNDING_M).all(),
         f"{sample.where}: from scan to scan are {steps_m.max(initial=0):.6g} m, expected at most "
         f"mapping.scan_spacing_m = {spacing_m:g}",
+    )
+    # a dataset like another one keeps times that its own recipe need not give
+    if recipe.traffic is None or contract.like is not None:
+        return
+    times_s, end_s = (sample.fields[name] for name in ("scan_times", "course_end"))
+    before_s = spacing_m / recipe.traffic.sensor_mps * np.arange(len(times_s))
+    wrong_s = np.abs(np.maximum(times_s[0] - before_s, 0.0) - times_s)
+    page.expect(
+        # NaN fails, too
+        bool((wrong_s <= ROUNDING_S).all())
+        and abs(times_s[0] + recipe.traffic.after_s - end_s) <= ROUNDING_S,
+        f"{sample.where}: scan_times {times_s.tolist()} and course_end {end_s:g} are not what "
+        f"movers.sensor_mps = {recipe.traffic.sensor_mps:g}, movers.after_s = "
+        f"{recipe.traffic.after_s:g} and mapping.scan_spacing_m = {spacing_m:g} give",
     )
 
 

@@ -211,7 +211,7 @@ def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
 def _packed_movers(timeline: Timeline) -> Json:
     """Encode movers for the page's script, which evaluates their courses. Times but `now` are
     seconds after it."""
-    from scenegen.worlds.movers import entries_of
+    from scenegen.worlds.movers import encoded
 
     movers, now_s = timeline.movers, float(timeline.scan_times[0])
     entry: Json = {
@@ -219,7 +219,7 @@ def _packed_movers(timeline: Timeline) -> Json:
         "scans": (timeline.scan_times - now_s).tolist(),
         "end": timeline.end_s - now_s,
         "period": movers.period_s if math.isfinite(movers.period_s) else None,
-        "table": _gzip64(json.dumps(entries_of(movers)).encode()),
+        "table": _gzip64(encoded(movers).encode()),
     }
     if timeline.standing is not None:
         entry["standing"] = _bits(timeline.standing)

@@ -9,7 +9,7 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
-from lidarsim.movers import Movers, place, pose, velocity
+from lidarsim.movers import COEFFICIENTS, Movers, location, place, pose, velocity
 from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
@@ -304,24 +304,31 @@ def _motion_is_free(p, q, radius, arguments):
 @kernel
 def _course_is_free(begin_s, course, end_s, balls, arguments):
     """See `Clearance.course_is_free`."""
-    for ball in range(len(balls)):
-        for piece in range(len(begin_s)):
-            last = begin_s[piece + 1] if piece + 1 < len(begin_s) else end_s
-            whole = last - begin_s[piece]
+    for piece in range(len(begin_s)):
+        last = begin_s[piece + 1] if piece + 1 < len(begin_s) else end_s
+        whole = last - begin_s[piece]
+        turns = False
+        for power in range(1, COEFFICIENTS):
+            turns |= course[piece, 3, power] != 0.0 or course[piece, 4, power] != 0.0
+        _, _, _, cosine, sine = pose(course, piece, 0.0)
+        for ball in range(len(balls)):
+            bx, by = balls[ball, 0], balls[ball, 1]
             begin, step = 0.0, whole
             while begin < whole:
                 end = min(begin + step, whole)
                 middle = 0.5 * (begin + end)
-                x, y, z, cosine, sine = pose(course, piece, middle)
-                bx, by = balls[ball, 0], balls[ball, 1]
+                x, y, z = location(course, piece, middle)
                 # the speed is greatest at an end, and so is the turn from the middle
                 swing = 0.0
                 speed = 0.0
+                if turns:
+                    _, _, _, cosine, sine = pose(course, piece, middle)
                 for time in (begin, end):
                     u, v, w = velocity(course, piece, time)
                     speed = max(speed, math.sqrt(u * u + v * v + w * w))
-                    _, _, _, c, s = pose(course, piece, time)
-                    swing = max(swing, math.sqrt((c - cosine) ** 2 + (s - sine) ** 2))
+                    if turns:
+                        _, _, _, c, s = pose(course, piece, time)
+                        swing = max(swing, math.sqrt((c - cosine) ** 2 + (s - sine) ** 2))
                 reach = speed * (end - middle) + swing * math.sqrt(bx * bx + by * by)
                 x += cosine * bx - sine * by
                 y += sine * bx + cosine * by

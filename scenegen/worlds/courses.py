@@ -6,17 +6,24 @@ exact."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.movers import CHANNELS, COEFFICIENTS
 from scenegen.worlds.traffic import PERIOD_S
 
 TICK_S = 2.0**-10
 """Resolution of the times at which pieces begin, seconds."""
+
+
+Pair = tuple[float, float]
+"""x and y."""
+Channel = tuple[float, float, float, float]
+"""COEFFICIENTS of a polynomial."""
+STILL = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -30,36 +37,59 @@ class Course:
     round_s: float = PERIOD_S
     """How long it takes to go once; then it goes the same way again, or stands, seconds."""
 
+    @cached_property
+    def table(self) -> tuple[float, Ints, Floats, Floats]:
+        """The course as `lidarsim.movers.place` takes it, mover 0 of 1. It does not repeat."""
+        return math.inf, np.array([0, len(self.begin_s)]), self.begin_s, self.pieces
+
+    @cached_property
+    def fastest_mps(self) -> float:
+        """Greatest speed, metres a second."""
+        lengths = np.diff(np.append(self.begin_s, PERIOD_S))[:, None]
+        linear, square = self.pieces[:, :3, 1], self.pieces[:, :3, 2]
+        # at the begin or end of a piece; between, none is faster
+        speeds = np.stack([linear, linear + 2.0 * lengths * square])
+        return math.sqrt((speeds * speeds).sum(axis=-1).max())
+
 
 class _Writer:
-    """Writes a course piece by piece, each for a whole number of ticks."""
+    """Writes a course piece by piece, each for a whole number of ticks.
+
+    In plain numbers: arrays of three take ten times as long."""
 
     def __init__(self) -> None:
-        self.ticks, self.begins, self.pieces = 0, list[int](), list[Floats]()
+        self.ticks, self.begins, self.channels = 0, list[int](), list[Channel]()
 
-    def add(self, ticks: int, place: Any, heading: Any, *further: Any) -> None:
+    def add(
+        self,
+        ticks: int,
+        place: Vector,
+        heading: Pair | tuple[Channel, Channel],
+        velocity: Vector = STILL,
+        half: Vector = STILL,
+    ) -> None:
         """Add a piece.
 
         Args:
             ticks: How long it lasts; nothing is added for 0.
-            place: (3,): where it begins, metres.
-            heading: (2,) if constant, or (2, COEFFICIENTS).
-            further: Velocity, then half the acceleration, (3,) each; 0 if left out.
+            place: Where it begins, metres.
+            heading: x and y if constant, or their polynomials.
+            velocity: When it begins, metres a second.
+            half: Half of the acceleration, m/s².
         """
         if ticks == 0:
             return
-        piece = np.zeros((CHANNELS, COEFFICIENTS))
-        for power, values in enumerate((place, *further)):
-            piece[:3, power] = values
-        heading = np.asarray(heading, float)
-        piece[3:] = heading if heading.ndim == 2 else heading[:, None] * (1.0, 0.0, 0.0, 0.0)
         self.begins.append(self.ticks)
-        self.pieces.append(piece)
+        self.channels += [(x, u, a, 0.0) for x, u, a in zip(place, velocity, half, strict=True)]
+        # a product, for the sign of zero
+        for c in heading:
+            self.channels.append(c if isinstance(c, tuple) else (c, c * 0.0, c * 0.0, c * 0.0))
         self.ticks += ticks
 
     def course(self) -> Course:
         """The course so far."""
-        return Course(np.array(self.begins) * TICK_S, np.array(self.pieces))
+        pieces = np.array(self.channels).reshape(-1, CHANNELS, COEFFICIENTS)
+        return Course(np.array(self.begins) * TICK_S, pieces)
 
 
 def _ticks(seconds: float) -> int:
@@ -67,28 +97,45 @@ def _ticks(seconds: float) -> int:
     return max(math.ceil(seconds / TICK_S), 1)
 
 
-def _turn(writer: _Writer, place: Floats, start: Floats, end: Floats, rate: float) -> None:
-    """Turn on the spot from one heading (2,) to another, in parts of a right angle at most.
+def _moved(place: Vector, velocity: Vector, seconds: float) -> Vector:
+    (x, y, z), (u, v, w) = place, velocity
+    return x + u * seconds, y + v * seconds, z + w * seconds
 
-    The heading runs along the chord between two unit vectors by 3 s² - 2 s³."""
-    if start @ end < -1e-9:
+
+def _smooth(start: Pair, chord: Pair, seconds: float) -> tuple[Channel, Channel]:
+    """Polynomials of a heading that runs along a chord by 3 s² - 2 s³."""
+    square, cube = 3.0 / (seconds * seconds), -2.0 / (seconds * seconds * seconds)
+    (x, y), (u, v) = start, chord
+    return (x, u * 0.0, u * square, u * cube), (y, v * 0.0, v * square, v * cube)
+
+
+def _turn(writer: _Writer, place: Vector, start: Pair, end: Pair, rate: float) -> None:
+    """Turn on the spot from one heading to another, in parts of a right angle at most.
+
+    The heading runs along the chord between two unit vectors."""
+    if _dot(start, end) < -1e-9:
         # by way of the left, so that no part exceeds a right angle
-        middle = np.array([-start[1], start[0]])
-        if middle @ end < 0:
-            middle = -middle
+        middle = -start[1], start[0]
+        if _dot(middle, end) < 0:
+            middle = start[1], -start[0]
         _turn(writer, place, start, middle, rate)
         start = middle
-    chord = end - start
-    length = math.sqrt(float(chord @ chord))
+    chord = end[0] - start[0], end[1] - start[1]
+    length = math.sqrt(_dot(chord, chord))
     if length < 1e-9:
         return
     # an arc is at most π/(2√2) = 1.12 times as long as its chord
     ticks = _ticks(1.12 * length / rate)
-    seconds = ticks * TICK_S
-    smooth = np.array([0.0, 0.0, 3.0 / (seconds * seconds), -2.0 / (seconds * seconds * seconds)])
-    heading = chord[:, None] * smooth
-    heading[:, 0] = start
-    writer.add(ticks, place, heading)
+    writer.add(ticks, place, _smooth(start, chord, ticks * TICK_S))
+
+
+def _unit(x: float, y: float) -> Pair:
+    length = math.sqrt(x * x + y * y)
+    return x / length, y / length
+
+
+def _dot(first: Pair, second: Pair) -> float:
+    return first[0] * second[0] + first[1] * second[1]
 
 
 def from_stop_to_stop(
@@ -113,29 +160,35 @@ def from_stop_to_stop(
     Returns:
         The course; None if the tour takes longer than `PERIOD_S`.
     """
-    legs = np.roll(points, -1, axis=0) - points
-    lengths = np.sqrt((legs * legs).sum(axis=1))
-    headings = (legs / lengths[:, None])[:, :2]
-    headings = headings / np.sqrt((headings * headings).sum(axis=1))[:, None]
+    places: list[Vector] = points.tolist()
+    legs: list[Vector] = [
+        (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+        for a, b in zip(places, [*places[1:], places[0]], strict=True)
+    ]
+    lengths = [math.sqrt(x * x + y * y + z * z) for x, y, z in legs]
+    headings = [
+        _unit(leg[0] / length, leg[1] / length) for leg, length in zip(legs, lengths, strict=True)
+    ]
     for n in range(1, len(points) if backs_up else 0):
-        headings[n] *= 1.0 if headings[n] @ headings[n - 1] >= 0 else -1.0
+        if _dot(headings[n], headings[n - 1]) < 0:
+            headings[n] = -headings[n][0], -headings[n][1]
     writer = _Writer()
-    for n in range(len(points)):
-        writer.add(_ticks(waits_s[n]), points[n], headings[n - 1])
-        _turn(writer, points[n], headings[n - 1], headings[n], rate)
+    for n, (leg, length) in enumerate(zip(legs, lengths, strict=True)):
+        writer.add(_ticks(waits_s[n]), places[n], headings[n - 1])
+        _turn(writer, places[n], headings[n - 1], headings[n], rate)
         # rising and falling speed, with constant speed between them where the leg is long enough
-        peak = min(speed, math.sqrt(acceleration * lengths[n]))
+        peak = min(speed, math.sqrt(acceleration * length))
         rise = _ticks(peak / acceleration)
-        cruise = math.ceil((lengths[n] / peak - rise * TICK_S) / TICK_S)
-        cruise = max(cruise, 0)
-        velocity = legs[n] / ((rise + cruise) * TICK_S)
-        half = velocity / (2 * rise * TICK_S)
-        begun = points[n] + velocity * (rise * TICK_S / 2)
-        writer.add(rise, points[n], headings[n], (0, 0, 0), half)
-        writer.add(cruise, begun, headings[n], velocity)
-        slowing = begun + velocity * (cruise * TICK_S)
-        writer.add(rise, slowing, headings[n], velocity, -half)
-    return _repeated(writer, points[0], headings[-1])
+        cruise = max(math.ceil((length / peak - rise * TICK_S) / TICK_S), 0)
+        rise_s, cruise_s = rise * TICK_S, cruise * TICK_S
+        u, v, w = (way / (rise_s + cruise_s) for way in leg)
+        half = u / (2 * rise_s), v / (2 * rise_s), w / (2 * rise_s)
+        begun = _moved(places[n], (u, v, w), rise_s / 2)
+        writer.add(rise, places[n], headings[n], half=half)
+        writer.add(cruise, begun, headings[n], (u, v, w))
+        slowing = _moved(begun, (u, v, w), cruise_s)
+        writer.add(rise, slowing, headings[n], (u, v, w), (-half[0], -half[1], -half[2]))
+    return _repeated(writer, places[0], headings[-1])
 
 
 def without_stop(points: Floats, speed: float, acceleration: float, rate: float) -> Course | None:
@@ -178,24 +231,22 @@ def without_stop(points: Floats, speed: float, acceleration: float, rate: float)
     if ((headings * np.roll(headings, 1, axis=0)).sum(axis=1) < 0).any():
         return None
     writer = _Writer()
-    for _ in range(rounds):
-        for n in range(len(points)):
-            after = n + 1 if n + 1 < len(points) else 0
-            half = corner[n] // 2
-            # from the middle of the corner before to the middle of this leg's end
-            lasting, first = corner[n] * TICK_S, points[n] - velocity[n - 1] * (half * TICK_S)
-            smooth = np.array([0.0, 0.0, 3.0 / lasting**2, -2.0 / lasting**3])
-            heading = chord[n][:, None] * smooth
-            heading[:, 0] = headings[n - 1]
-            writer.add(int(corner[n]), first, heading, velocity[n - 1], change[n] / (2.0 * lasting))
-            straight = int(ticks[n] - half - corner[after] // 2)
-            writer.add(
-                straight, points[n] + velocity[n] * (half * TICK_S), headings[n], velocity[n]
-            )
-    return replace(writer.course(), round_s=PERIOD_S / rounds)
+    places, speeds = points.tolist(), velocity.tolist()
+    for n, place in enumerate(places):
+        half, after = int(corner[n]) // 2, int(corner[(n + 1) % len(places)]) // 2
+        # from the middle of the corner before to the middle of this leg's end
+        lasting = 2 * half * TICK_S
+        first = _moved(place, speeds[n - 1], -half * TICK_S)
+        turn = _smooth(headings[n - 1].tolist(), chord[n].tolist(), lasting)
+        change_by = (change[n] / (2.0 * lasting)).tolist()
+        writer.add(2 * half, first, turn, speeds[n - 1], change_by)
+        straight = int(ticks[n]) - half - after
+        begun = _moved(place, speeds[n], half * TICK_S)
+        writer.add(straight, begun, headings[n].tolist(), speeds[n])
+    return _repeated(writer, places[0], headings[-1].tolist())
 
 
-def _repeated(writer: _Writer, place: Floats, heading: Floats) -> Course | None:
+def _repeated(writer: _Writer, place: Vector, heading: Pair) -> Course | None:
     """Repeat a tour while it fits into the period, and stand for the rest of it."""
     period = round(PERIOD_S / TICK_S)
     if writer.ticks > period:

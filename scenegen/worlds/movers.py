@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from lidarsim.engines import Caster
-from lidarsim.grid import Floats, Vector
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
 from lidarsim.parameters import MAX_LENGTH_M
@@ -36,6 +36,8 @@ STEP_DOWN_M = 0.4
 """Most air below a mover that walks or drives, beside what its balls need, metres."""
 REACH_M = 50.0
 """How far below a place the ground is looked for, metres."""
+SHARES = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None, None]
+"""Places of a leg where the ground is looked for, as shares of its length."""
 TEXT = "movers"
 """Name of the document's <text> that holds movers."""
 
@@ -73,6 +75,16 @@ class Body:
         middle = float(low + high) / 2
         corners = np.abs(self.offset - (0.0, 0.0, middle)) + half
         return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
+
+    @cached_property
+    def width(self) -> float:
+        """Radius of a ball that fits where the body does, when it moves ahead, metres."""
+        return min(float((np.abs(self.balls[:, 1]) + self.balls[:, 3]).max()) + GAP_M, 0.99)
+
+    @cached_property
+    def sink(self) -> float:
+        """How far balls that cover the lowest solids reach below the origin, metres."""
+        return max(0.0, -float((self.balls[:, 2] - self.balls[:, 3]).min()))
 
     @cached_property
     def _half(self) -> Floats:
@@ -291,24 +303,16 @@ class _Tour:
     def _start(self) -> Floats:
         """A random place of the zone, if possible with room for the mover; of a mover on the
         ground, above the ground there."""
-        places = self.rng.uniform(self.zone[0], self.zone[1], (STARTS, 3))
+        low, high = self.zone
+        # quicker than `uniform` with bounds that are arrays
+        places = low + (high - low) * self.rng.random((STARTS, 3))
         if self.body.kind != "drone":
             places = self._above_ground(places)
         for start in places:
-            if self.clearance.at(*_vector(start + self._middle)) > self._width:
+            x, y, z = start.tolist()
+            if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.width:
                 break
         return np.asarray(start)
-
-    @cached_property
-    def _middle(self) -> Floats:
-        """The middle of the body in its frame, (3,), metres."""
-        return np.array([0.0, 0.0, self.body.ball[0]])
-
-    @cached_property
-    def _width(self) -> float:
-        """Radius of a ball that fits where the body does, when it moves ahead, metres."""
-        balls = self.body.balls
-        return min(float((np.abs(balls[:, 1]) + balls[:, 3]).max()) + GAP_M, 0.99)
 
     def _on_ground(self, points: Floats) -> Floats:
         """Set places (n, 3) of a mover on the ground to one height, above the highest ground below
@@ -320,43 +324,39 @@ class _Tour:
 
     def _leaves_the_ground(self, points: Floats) -> bool:
         """Whether the ground falls by more than `STEP_DOWN_M` below some place of a tour (n, 3)."""
-        shares = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None, None]
-        along = points + shares * (np.roll(points, -1, axis=0) - points)
+        along = points + SHARES * (np.concatenate([points[1:], points[:1]]) - points)
         places = along.reshape(-1, 3)
         return bool((places[:, 2] - self._above_ground(places)[:, 2] > STEP_DOWN_M).any())
 
     def _above_ground(self, points: Floats) -> Floats:
         """Set each of some places (n, 3) to a height above the ground below it."""
-        down = np.broadcast_to((0.0, 0.0, -1.0), (len(points), 1, 3))
+        down = np.zeros((len(points), 1, 3))
+        down[:, 0, 2] = -1.0
+        result = points.copy()
         # from the zone's upper side: what is above it, such as a ceiling, is no ground
-        above = np.column_stack([points[:, :2], np.full(len(points), self.zone[1, 2])])
-        depth = self.caster.cast(above, down, REACH_M)[:, 0]
-        ground = np.where(np.isfinite(depth), above[:, 2] - depth, 0.0)
-        # balls that cover the lowest solids reach below them
-        sink = max(0.0, -float((self.body.balls[:, 2] - self.body.balls[:, 3]).min()))
-        return np.column_stack([points[:, :2], ground + (sink + 1.2 * GAP_M)])
+        top = result[:, 2] = self.zone[1, 2]
+        depth = self.caster.cast(result, down, REACH_M)[:, 0]
+        ground = np.where(np.isfinite(depth), top - depth, 0.0)
+        result[:, 2] = ground + (self.body.sink + 1.2 * GAP_M)
+        return result
 
     def _leg_from(self, start: Floats) -> Floats | None:
         """Draw the end of a free straight leg, or None."""
-        low, high = self.zone[:, :2]
-        extent = np.minimum(high - low, MOST_LEG_M)
-        longest = max(float(extent.max()), LEAST_LEG_M)
-        drawn = self.rng.uniform((-1, -1, LEAST_LEG_M), (1, 1, longest), (ENDS, 3))
-        # narrow zones are long: legs run along them
-        ways = drawn[:, :2] * extent
-        lengths = np.sqrt((ways * ways).sum(axis=1))
-        ends = start[:2] + ways * (drawn[:, 2] / lengths)[:, None]
-        for x, y in ends[((ends >= low) & (ends <= high)).all(axis=1)].tolist():
-            end = np.array([x, y, start[2]])
-            middles = _vector(start + self._middle), _vector(end + self._middle)
-            if self.clearance.motion_is_free(*middles, self._width):
-                return end
+        (low_x, low_y), (high_x, high_y) = self.zone[:, :2].tolist()
+        extent_x, extent_y = min(high_x - low_x, MOST_LEG_M), min(high_y - low_y, MOST_LEG_M)
+        longest = max(extent_x, extent_y, LEAST_LEG_M)
+        x, y, z = start.tolist()
+        middle = x, y, z + self.body.ball[0]
+        for u, v, w in self.rng.random((ENDS, 3)).tolist():
+            # narrow zones are long: legs run along them
+            way_x, way_y = (2.0 * u - 1.0) * extent_x, (2.0 * v - 1.0) * extent_y
+            length = LEAST_LEG_M + (longest - LEAST_LEG_M) * w
+            share = length / (math.sqrt(way_x * way_x + way_y * way_y) or 1.0)
+            end = x + way_x * share, y + way_y * share, middle[2]
+            inside = low_x <= end[0] <= high_x and low_y <= end[1] <= high_y
+            if inside and self.clearance.motion_is_free(middle, end, self.body.width):
+                return np.array([end[0], end[1], z])
         return None
-
-
-def _vector(point: Floats) -> Vector:
-    x, y, z = point.tolist()
-    return x, y, z
 
 
 BEHAVIOURS = (_Tour.line, _Tour.stops, _Tour.wander, _Tour.loop)
@@ -372,32 +372,20 @@ TURNS = {
 
 def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool:
     """Whether balls around two movers stay `GAP_M` apart for a period."""
-    both = _joined([first, second])
-    heights = np.array([body.ball[0] for body, _ in (first, second)])
-    near = GAP_M + sum(body.ball[1] for body, _ in (first, second))
-    speeds = [
-        math.sqrt(max(float((_speeds(course) ** 2).sum(axis=-1).max()), 1e-12))
-        for _, course in (first, second)
-    ]
+    heights = first[0].ball[0], second[0].ball[0]
+    near = GAP_M + first[0].ball[1] + second[0].ball[1]
+    speed = max(first[1].fastest_mps, 1e-6) + max(second[1].fastest_mps, 1e-6)
     # endless courses: both are looked at within one period
-    courses = math.inf, both.piece_start, both.begin_s, both.course
-    return bool(_are_apart(courses, PERIOD_S, heights, near, sum(speeds)))
-
-
-def _speeds(course: Course) -> Floats:
-    """Velocities (2, P, 3) at the begin and end of every piece; between, none is faster."""
-    lengths = np.diff(np.append(course.begin_s, PERIOD_S))[:, None]
-    linear, square = course.pieces[:, :3, 1], course.pieces[:, :3, 2]
-    return np.stack([linear, linear + 2.0 * lengths * square])
+    return bool(_are_apart(first[1].table, second[1].table, PERIOD_S, heights, near, speed))
 
 
 @kernel
-def _are_apart(courses, end, heights, near, speed):
+def _are_apart(first, second, end, heights, near, speed):
     """Walk in steps that the two cannot use up; a gap below a millimetre counts as none."""
     time = 0.0
     while time < end:
-        _, _, x, y, z = place(0, time, courses)
-        _, _, u, v, w = place(1, time, courses)
+        _, _, x, y, z = place(0, time, first)
+        _, _, u, v, w = place(0, time, second)
         dx, dy, dz = u - x, v - y, w + heights[1] - z - heights[0]
         gap = math.sqrt(dx * dx + dy * dy + dz * dz) - near
         if gap < 1e-3:
@@ -436,37 +424,49 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
     Returns:
         The document, whose solids are the same.
     """
-    table = {"period_s": movers.period_s, "movers": entries_of(movers)}
-    text = json.dumps(table, separators=(",", ":"))
+    text = f'{{"period_s":{movers.period_s},"movers":{encoded(movers)}}}'
     element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
     before, _, after = mjcf.rpartition(b"</mujoco>")
     return before + element.encode() + after
 
 
-def entries_of(movers: Movers) -> list[dict[str, Any]]:
-    """Describe movers by what JSON can hold.
+def encoded(movers: Movers) -> str:
+    """Write movers as JSON.
 
     Args:
         movers: The movers.
 
     Returns:
-        Of each its `kind`; its `solids` (n, 7): MuJoCo's code of the shape, three sizes, and the
-        centre in the mover's frame, metres; `begin_s` (P,) of the pieces of its course; and their
-        `course` (P, CHANNELS * COEFFICIENTS).
+        A list with an object for each: its `kind`; its `solids` (n, 7): MuJoCo's code of the shape,
+        three sizes, and the centre in the mover's frame, metres; `begin_s` (P,) of the pieces of
+        its course; and their `course` (P, CHANNELS * COEFFICIENTS).
     """
     entries = []
     for m, kind in enumerate(movers.kind.tolist()):
         own, (first, last) = movers.owner == m, movers.piece_start[m : m + 2].tolist()
         solids = np.column_stack([movers.shape[own], movers.size[own], movers.offset[own]])
+        begin_s = movers.begin_s[first:last]
+        course = movers.course[first:last].reshape(last - first, -1)
         entries.append(
-            {
-                "kind": KINDS[kind - 1],
-                "solids": solids.tolist(),
-                "begin_s": movers.begin_s[first:last].tolist(),
-                "course": movers.course[first:last].reshape(last - first, -1).tolist(),
-            }
+            f'{{"kind":"{KINDS[kind - 1]}","solids":{_table(solids)},"begin_s":{_list(begin_s)},'
+            f'"course":{_table(course)}}}'
         )
-    return entries
+    return f"[{','.join(entries)}]"
+
+
+def _table(rows: Floats) -> str:
+    """Write a table in JSON; equal rows, as rounds have, only once."""
+    texts = dict[bytes, str]()
+    for row in rows:
+        key = row.tobytes()
+        if key not in texts:
+            texts[key] = _list(row)
+    return f"[{','.join([texts[row.tobytes()] for row in rows])}]"
+
+
+def _list(values: Floats) -> str:
+    """Write finite numbers in JSON, quicker than `json`."""
+    return str(values.tolist()).replace(" ", "")
 
 
 def read_text(text: str) -> Movers:

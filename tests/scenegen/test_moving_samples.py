@@ -213,19 +213,20 @@ CHANGES = {
     "voxel_mover": ("part-laws", lambda values: values.__setitem__(..., 0)),
     "static_occupancy": ("part-laws", lambda values: values.__setitem__(..., False)),
     "scan_times": ("rays", lambda values: values.__iadd__(1.5)),
+    "scan_times alone": ("flights", lambda values: values.__iadd__(0.001)),
     "mover_course": ("parts", lambda values: values.__imul__(1.01)),
     "mover_solids": ("parts", lambda values: values.__imul__(1.01)),
     "mover_kind": ("parts", lambda values: values.__setitem__(values > 0, 2)),
     "course_end": ("parts", lambda values: values.__iadd__(1.0)),
 }
-"""The check that finds a change of each field, beside the digest."""
+"""The check that finds a change of each field, which is the first word, beside the digest."""
 
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_of_a_field_is_found(moving, tmp_path, name):
     check, change = CHANGES[name]
     folder = forge.copy(moving, tmp_path / "d")
-    forge.edit(folder, "train-00000.h5", lambda arrays: change(arrays[name]))
+    forge.edit(folder, "train-00000.h5", lambda arrays: change(arrays[name.split()[0]]))
     assert {check, "digest"} <= failed(folder).keys()
 
 

@@ -11,6 +11,8 @@ they use it.
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import UsageError
 from scenegen.draw.parts.labels import LabelsPart
 from scenegen.draw.parts.movers import MoversPart
 from scenegen.draw.parts.normals import NormalsPart
@@ -97,7 +99,10 @@ def resolved(chosen: Mapping[str, Any], class_names: Callable[[Any], set[str]]) 
 
     Raises:
         RecipeError: if a choice is not possible.
+        UsageError: if there is no such part.
     """
+    for name in chosen.keys() - PARTS.keys():
+        raise UsageError(f"unknown option {short_repr(name)}; expected {', '.join(PARTS)}")
     return {
         name: PARTS[name].resolve(choice, class_names) for name, choice in chosen.items() if choice
     }

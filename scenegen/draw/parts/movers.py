@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import UsageError
 from scenegen.worlds.traffic import PRESETS, Traffic
 
 
@@ -23,7 +25,14 @@ class MoversPart:
 
         Returns:
             The settings.
+
+        Raises:
+            UsageError: if there is no such preset.
         """
+        if choice not in self.choices:
+            raise UsageError(
+                f"movers = {short_repr(choice)}: expected one of {', '.join(self.choices)}"
+            )
         return PRESETS[choice]
 
     def compute(

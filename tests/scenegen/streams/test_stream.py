@@ -5,6 +5,7 @@ import os
 import pickle
 import signal
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scenegen.dataset.build import plan_dataset
 from scenegen.draw.sample import Sample
 from scenegen.draw.source import read_scenes
 from scenegen.worlds.recipe import preset
+from scenegen.worlds.traffic import PRESETS
 from tests.command_line import ROOT, python
 from tests.conftest import small_recipe
 from tests.refusals import refuses
@@ -58,6 +60,12 @@ def test_a_sample_depends_on_seed_split_and_number_alone():
     again = scenegen.stream(recipe, seed=np.int64(0), samples=10**9, engine="mujoco")
     assert again.digest == stream.digest
     assert same(stream[123_456_789], again[123_456_789])
+
+
+def test_parts_are_an_option_or_of_the_recipe():
+    recipe = replace(small_recipe(), parts={"movers": PRESETS["light"]})
+    asked = scenegen.stream(small_recipe(), movers="light")
+    assert same(asked[0], scenegen.stream(recipe)[0])
 
 
 def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
