@@ -20,7 +20,7 @@ from scenegen.logs import LogScan
 from scenegen.logs.record import write_log
 from scenegen.view import opened
 from scenegen.view.notebook import page_of, show
-from scenegen.worlds.movers import entries_of
+from scenegen.worlds.movers import encoded
 from scenegen.worlds.place import encode_map
 from tests.command_line import done, refused
 from tests.scenegen import refuses
@@ -143,7 +143,7 @@ def test_a_world_of_ours_shows_its_movers(moving, tmp_path):
     write_extracted(dataset.world("train", 0), path)
     (look,) = opened.looks_of_world(path)
     movers = dataset.compile("train", 0).movers
-    assert entries_of(look.timeline.movers) == entries_of(movers)
+    assert encoded(look.timeline.movers) == encoded(movers)
     assert look.timeline.end_s == movers.period_s == 32.0
 
 
