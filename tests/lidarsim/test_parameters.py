@@ -77,7 +77,8 @@ def test_a_value_is_shown_on_one_short_line():
     # a number of more digits than Python turns into text
     for value in ("a\nb\x1b[2J" * 100, 1 << 100_000, nested, ["\u202e"]):
         text = short_repr(value)
-        assert (text.isprintable(), text.isascii()) == (True, True)
+        assert text.isprintable()
+        assert text.isascii()
         assert len(text) <= 60
 
 

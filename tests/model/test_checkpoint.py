@@ -33,7 +33,9 @@ def saved(tmp_path):
 def test_what_is_saved_comes_back(saved):
     path, network = saved
     loaded, grid, about = load_network(path)
-    assert (loaded.config, grid, about) == (network.config, GRID, {"seed": 3})
+    assert loaded.config == network.config
+    assert grid == GRID
+    assert about == {"seed": 3}
     assert not loaded.training
     maps = {"observed": torch.rand(1, *GRID.shape)}
     sent = pickle.loads(pickle.dumps(loaded))  # as other programs may send it

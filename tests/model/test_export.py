@@ -62,7 +62,9 @@ def test_runtimes_agree_with_torch(exported, runtime):
     processor has it."""
     path, network = exported
     forward, held = load_onnx(path, runtime=runtime, threads=1)
-    assert (held.grid, held.metadata, held.config) == (GRID, {"seed": 0}, network.config)
+    assert held.grid == GRID
+    assert held.metadata == {"seed": 0}
+    assert held.config == network.config
     tolerance = 1e-4 if runtime == "onnxruntime" else 5e-2
     for batch in (1, 3, 1):
         maps = seen(batch)

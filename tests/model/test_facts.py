@@ -94,7 +94,8 @@ def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
     (look,) = scenegen.show(here / "done.h5", out=here / "shown.html").looks
     assert sample["name"] == look.name == "done"
     picture = scenegen.show(str(here / "run"), out=here / "picture.html")
-    assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
+    assert picture.looks == ()
+    assert repr(picture) == "<Shown: a picture>"
     assert '<img src="data:image/png;base64,' in (here / "picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors", error=DatasetError)
 

@@ -84,7 +84,8 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
             continue
         manifest = manifest_of(recipe)
         checked = parse(manifest)
-        assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
+        assert checked.grid == recipe.grid
+        assert checked.lidar == recipe.lidar
         assert recipe.world.max_solids() <= MAX_DRAWN_SOLIDS
         if outcome["made"] % 20 == 0:
             (tmp_path / NAME).write_bytes(manifest)

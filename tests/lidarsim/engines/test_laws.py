@@ -82,7 +82,8 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 3, 60)
     flat = engine.cast(origins, rays, 12.0)
-    assert (flat.shape, flat.dtype) == ((3, 60), np.float64)
+    assert flat.shape == (3, 60)
+    assert flat.dtype == np.float64
     for p in range(3):
         assert_array_equal(engine.cast(origins[p : p + 1], rays[p : p + 1], 12.0)[0], flat[p])
     shaped = engine.cast(origins, rays.reshape(3, 3, 4, 5, 3), 12.0)

@@ -57,7 +57,8 @@ def test_a_sensor_has_unit_rays_rising_times_and_a_source(name):
     assert sensor.name == name
     assert min(len(sensor.source), len(sensor.checked), len(sensor.error)) > 20
     table = BeamTable.of(sensor)
-    assert (table.shape, table.made_by) == (sensor.shape, name)
+    assert table.shape == sensor.shape
+    assert table.made_by == name
     assert sensor.times_s.min() >= 0
     assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
     assert 0 <= sensor.min_range_m < sensor.max_range_m
@@ -71,7 +72,8 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     beams, low, high, step_deg, points_hz, range_m = SPINNING[name]
     sensor = named(name)
     elevation, azimuth = angles_deg(sensor)
-    assert (sensor.shape[0], sensor.max_range_m) == (beams, range_m)
+    assert sensor.shape[0] == beams
+    assert sensor.max_range_m == range_m
     assert (elevation.min(), elevation.max()) == pytest.approx((low, high), abs=0.01)
     assert np.ptp(elevation, axis=1).max() < 1e-9  # a beam keeps its elevation
     assert len(np.unique(elevation[:, 0].round(6))) == beams

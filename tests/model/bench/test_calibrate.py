@@ -39,7 +39,8 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     del about[KEY]
     assert about == TRAINED
     torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
-    assert (calibration.worlds, calibration.class_weight) == (3, 5.0)
+    assert calibration.worlds == 3
+    assert calibration.class_weight == 5.0
     assert calibration.datasets == (str(dataset.manifest.digest),)
     # it depends neither on what was there nor on where it is done
     backwards = Backwards("", 1)

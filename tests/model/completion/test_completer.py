@@ -112,7 +112,8 @@ def test_a_repository_is_fetched_when_asked_for(tmp_path, monkeypatch, capfd):
     save(tmp_path / "model.safetensors")
 
     def fetch(*given, revision):
-        assert (given, revision) == (("user/net", "model.safetensors"), "v2")
+        assert given == ("user/net", "model.safetensors")
+        assert revision == "v2"
         return str(tmp_path / "model.safetensors")
 
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", fetch)

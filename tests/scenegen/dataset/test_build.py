@@ -158,13 +158,16 @@ viewpoint  → <i8  →
 def test_the_format_is_the_contract(whole):
     """What the numbers are, `verify` says, which shares no code with what writes them."""
     manifest = read(whole)
-    assert (manifest["format"], manifest["version"]) == ("scenegen-dataset", 2)
+    assert manifest["format"] == "scenegen-dataset"
+    assert manifest["version"] == 2
     assert manifest["fields"] == [name for name, _, _ in rows(FORMAT)]
     with h5py.File(whole / "train-00000.h5") as shard:
         for name, dtype, size in rows(FORMAT):
             stored, shape = shard[name], tuple(map(int, size.split()))
-            assert (stored.dtype, stored.shape) == (dtype, (6, *shape))
-            assert (stored.chunks, stored.compression or "gzip") == ((1, *shape), "gzip")
+            assert stored.dtype == dtype
+            assert stored.shape == (6, *shape)
+            assert stored.chunks == (1, *shape)
+            assert (stored.compression or "gzip") == "gzip"
 
 
 def test_going_on_with_other_parameters_is_refused_by_name(folder, whole):
@@ -247,7 +250,8 @@ def test_jobs_that_finish_while_another_works_lose_nothing(
 
     monkeypatch.setattr(owner, name, overtaken)
     outcome = build(parts, shard_range=(0, 1))
-    assert (outcome.complete, outcome.samples_written) == (True, parts.shards[0].samples)
+    assert outcome.complete
+    assert outcome.samples_written == parts.shards[0].samples
     assert contents(tmp_path / "d") == contents(whole)
 
 
@@ -260,7 +264,8 @@ def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(whole, tmp
     with h5py.File(last, "r+") as file:
         file["position"][0, 0] += 1e-9
     between = build(parts, shard_range=(1, len(parts.shards) - 1))
-    assert (between.complete, between.shards_missing) == (False, 2)
+    assert not between.complete
+    assert between.shards_missing == 2
     assert build(parts).complete
     assert contents(tmp_path / "parts") == contents(whole)
 

@@ -216,7 +216,8 @@ def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(tmp_path):
     samples = different.split("train")
     for n, sample in enumerate(samples):
         home = samples.home(n)
-        assert (sample.lidar, sample.ranges.shape) == (home.lidar, home.lidar.shape)
+        assert sample.lidar == home.lidar
+        assert sample.ranges.shape == home.lidar.shape
         assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
         fused = fuse(sample.scans()[::-1], sample.grid, sample.origin, home.mapping)
         assert np.array_equal(sample.free, fused.free)

@@ -29,13 +29,15 @@ def digest(task):
 
 def test_samples_come_lazily_and_described(made):
     split = scenegen.load(made)
-    assert (len(split), split._open) == (11, {})
+    assert len(split) == 11
+    assert split._open == {}
     sample, described = split[4], split.describe()
     assert len(split._open) == 1
     assert set(described) == set(GROUPS[""])
     for name, field in described.items():
         value = np.asarray(getattr(sample, name))
-        assert (value.dtype.name, value.shape) == (field["dtype"], field["shape"]), name
+        assert value.dtype.name == field["dtype"], name
+        assert value.shape == field["shape"], name
     metres = {name for name, field in described.items() if field["unit"] == "m"}
     assert metres == {"tudf", "ranges", "position", "origin"}
     refuses("training", scenegen.load, str(made), split="training")

@@ -67,7 +67,7 @@ def test_streams_give_every_field_as_generate_stores_it(group, tmp_path, monkeyp
             assert sample.names == tuple(stored)
             for name, values in stored.items():
                 actual = np.asarray(getattr(sample, name))
-                assert (name, actual.dtype) == (name, values.dtype)
+                assert actual.dtype == values.dtype, name
                 assert_array_equal(actual, values[n], name, strict=True)
         assert n + 1 == COUNTS["train"]
 

@@ -104,7 +104,8 @@ def test_a_stream_that_nobody_closes_ends_without_a_word():
     """Also one that outlives the modules that it needs."""
     stream = "numpy.kept = scenegen.stream('pillar', workers=2); numpy.kept[0]"
     ended = python("-c", f"import numpy, scenegen; {stream}")
-    assert (ended.stdout, ended.stderr) == ("", "")
+    assert ended.stdout == ""
+    assert ended.stderr == ""
 
 
 @pytest.mark.parametrize(("source", "options"), cases("streams/stream"))
