@@ -14,7 +14,7 @@ import pytest
 from lidarsim.parameters import check, number, short_repr
 from scenegen.worlds.kinds.kind import bounds_by_name
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 if TYPE_CHECKING:
     from nowhere import Unknown
@@ -64,7 +64,7 @@ def test_what_fits_becomes_the_annotated_type(name, value, kept):
     assert repr(actual) == repr(kept)  # which shows the type, that of parts, too
 
 
-@pytest.mark.parametrize(("name", "value"), cases("../lidarsim/parameters"))
+@each_case("../lidarsim/parameters", "name value")
 def test_what_does_not_fit_is_named_with_its_bounds(name, value):
     line = refuses(f"{name} {value[:20]}", Sensor, **{name: json.loads(value)})
     assert line.startswith(f"{name} = ")

@@ -16,6 +16,11 @@ def cases(name):
     return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
 
 
+def each_case(name, columns):
+    """Runs a test for each row of `cases(name)`; its columns are arguments of the test."""
+    return pytest.mark.parametrize(columns.split(), cases(name))
+
+
 def refuses(told, action, *given, **more):
     """Do what cannot be done: it ends in one of our errors, whose line, as every test sees to, is
     one, and says this."""

@@ -19,7 +19,7 @@ from lidarsim.sensors.spinning import Spinning
 from tests.command_line import rows
 from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 named = cache(SENSORS.find)
 DOCUMENTS = rows(Path(__file__).with_name("documents.txt").read_text(encoding="utf-8"))
@@ -84,7 +84,7 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     assert sensor.times_s.max() < 1 / sensor.rate_hz
 
 
-@pytest.mark.parametrize(("name", "row", "elevation", "azimuth"), cases("../lidarsim/staggered"))
+@each_case("../lidarsim/staggered", "name row elevation azimuth")
 def test_staggered_beams_point_where_drivers_place_them(name, row, elevation, azimuth):
     """Ouster's own formula, and Hesai's: column c at 2π c / columns, azimuths clockwise, begun at
     the rear."""
@@ -164,6 +164,6 @@ def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
         assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
 
-@pytest.mark.parametrize(("family", "values"), cases("../lidarsim/sensors"))
+@each_case("../lidarsim/sensors", "family values")
 def test_an_impossible_sensor_is_refused(family, values):
     refuses(f"{family} {values}", named(family), **json.loads(values))

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import msgspec
 import mujoco
-import pytest
 
 from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import SMALL, done, example, refused, run
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
@@ -47,7 +46,7 @@ def test_an_engine_and_a_sensor_are_taken_by_name(small, tmp_path, capsys):
     assert 'engine is "mujoco" there, "analytic" asked for' in refused(capsys, command)
 
 
-@pytest.mark.parametrize(("words", "fault"), cases("cli/generate_bad_use"))
+@each_case("cli/generate_bad_use", "words fault")
 def test_bad_use_ends_in_one_line(words, fault, tmp_path, capsys):
     (tmp_path / "s.py").touch()
     words = words.replace("HERE", str(tmp_path))
@@ -55,7 +54,7 @@ def test_bad_use_ends_in_one_line(words, fault, tmp_path, capsys):
     assert not (tmp_path / "d").exists()
 
 
-@pytest.mark.parametrize(("document", "told"), cases("cli/generate_bad_scenes"))
+@each_case("cli/generate_bad_scenes", "document told")
 def test_a_bad_scene_ends_in_one_line(document, told, tmp_path, capfd):
     (tmp_path / "s.xml").write_text(document)
     command = f"generate --scene {tmp_path / 's.xml'} --n 5 --out {tmp_path / 'd'} --quiet"

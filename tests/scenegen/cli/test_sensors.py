@@ -16,7 +16,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.view.stills import draw_patterns
 from tests.command_line import ROOT, SMALL, done, refused
 from tests.refusals import refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.worlds.test_octomap import written
 
 ROOM = """<mujoco><worldbody>
@@ -131,7 +131,7 @@ def test_poses_in_a_flight_follow_one_another(here):
     assert np.median(steps) > 0.49
 
 
-@pytest.mark.parametrize(("words", "told"), cases("cli/sensors"))
+@each_case("cli/sensors", "words told")
 def test_what_cannot_be_ends_in_one_line(words, told, here, capsys):
     before = set(here.iterdir())
     assert told in refused(capsys, words)

@@ -27,7 +27,7 @@ from scenegen.dataset.shard import ShardSpec, read_report
 from tests.command_line import rows
 from tests.conftest import DRAWN, THREE, contents, picky_recipe, plan_of, small_recipe, stop_at_val
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import same
 from tests.scenegen.verification.forge import edit_manifest, read
 
@@ -279,7 +279,7 @@ def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path):
     assert make(tmp_path / "d").samples_written == 0
 
 
-@pytest.mark.parametrize("options", [options for (options,) in cases("dataset/build")])
+@each_case("dataset/build", "options")
 def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, options):
     refuses(options, plan, tmp_path / "d", **json.loads(options))
 

@@ -22,7 +22,7 @@ from scenegen.verification import verify
 from scenegen.worlds.kinds import kind_names
 from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 from tests.scenegen.dataset import NASTY, SCENE, put, samples_of
 
@@ -238,7 +238,7 @@ def test_components_of_one_kind_are_numbered_and_draw_other_worlds(tmp_path):
     assert len({sample.ranges.tobytes() for sample in pillars.split("train")}) == 8
 
 
-@pytest.mark.parametrize(("old", "new"), cases("dataset/collection"))
+@each_case("dataset/collection", "old new")
 def test_a_bad_mixture_ends_in_one_line(recipe, tmp_path, old, new):
     recipe.write_text(RECIPE.replace(old, new.replace("; ", "\n"), 1))
     refuses(f"{old} {new}", plan_generation, recipe=recipe, out=tmp_path / "d", **COUNTS)

@@ -36,7 +36,7 @@ from tests.mutations.hdf5_chunks import (
     unknown_filter,
 )
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.verification.conftest import failed
 from tests.scenegen.verification.forge import copy, edit_at, read
 from tests.scenegen.verification.forge import edit_manifest as edit
@@ -94,7 +94,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(rich, tmp_path):
     assert [line for line in lines if not line.isprintable()] == []
 
 
-@pytest.mark.parametrize(("path", "value"), cases("dataset/trust_newer"))
+@each_case("dataset/trust_newer", "path value")
 def test_what_this_version_does_not_know_is_called_newer(dataset, path, value):
     edit_at(dataset, path, value)
     refuses(f"{path} {value}", Dataset, dataset)
@@ -218,7 +218,7 @@ def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset):
     refuses("a short one", read_whole, dataset)
 
 
-@pytest.mark.parametrize(("field", "value"), cases("dataset/trust_broken"))
+@each_case("dataset/trust_broken", "field value")
 def test_a_compact_dataset_derives_nothing_from_a_broken_pose(tmp_path, field, value):
     dataset_in(tmp_path / "d", seed=3, compact=True)
     with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:

@@ -24,7 +24,7 @@ from scenegen.worlds.recipe import make_recipe, preset, read_recipe
 from tests.command_line import done
 from tests.conftest import dataset_in, small_recipe
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.dataset import OF_POSES
 from tests.scenegen.dataset.conftest import NOISE, SEVERAL, made_with
@@ -219,7 +219,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, sh
     assert 0.005 < sample.occupancy.mean() < 0.9
 
 
-@pytest.mark.parametrize(("field", "change", "checks"), cases("dataset/mapping_changed"))
+@each_case("dataset/mapping_changed", "field change checks")
 def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, change, checks):
     folder = forge.copy(several.folder, tmp_path / "d")
     with h5py.File(folder / "train-00000.h5", "r+") as file:
@@ -227,7 +227,7 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
     assert {*checks.split()} <= failed(folder).keys()
 
 
-@pytest.mark.parametrize(("path", "value"), cases("dataset/mapping"))
+@each_case("dataset/mapping", "path value")
 def test_a_strangers_word_is_not_trusted(several, noisy, tmp_path, path, value):
     original = several if "mapping" in path else noisy
     folder = forge.edit_at(forge.copy(original.folder, tmp_path / "d"), path, value)

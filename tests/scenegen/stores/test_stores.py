@@ -27,7 +27,7 @@ from scenegen.verification import verify
 from tests.command_line import done
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import cases, each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -315,7 +315,7 @@ def test_an_odd_servers_answer_ends_in_one_line(case, bucket, monkeypatch, tmp_p
     assert not [word for word in SECRETS if word in line]
 
 
-@pytest.mark.parametrize(("status", "code"), cases("stores/stores"))
+@each_case("stores/stores", "status code")
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
     status, code, bucket, monkeypatch
 ):

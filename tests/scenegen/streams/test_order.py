@@ -14,7 +14,7 @@ from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
@@ -120,6 +120,6 @@ def test_batches_go_on_where_a_state_says_with_any_ranks():
         refuses(case, batches(**options).load_state_dict, json.loads(state))
 
 
-@pytest.mark.parametrize("options", [options for (options,) in cases("streams/order")])
+@each_case("streams/order", "options")
 def test_batches_that_cannot_be_end_in_a_line(options):
     refuses(options, mixed({3: 1}, samples=50).batches, **json.loads(options))

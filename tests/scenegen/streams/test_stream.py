@@ -17,7 +17,7 @@ from scenegen.worlds.recipe import preset
 from tests.command_line import ROOT, python
 from tests.conftest import small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built, same
 from tests.scenegen.dataset import SCENE
 
@@ -108,7 +108,7 @@ def test_a_stream_that_nobody_closes_ends_without_a_word():
     assert ended.stderr == ""
 
 
-@pytest.mark.parametrize(("source", "options"), cases("streams/stream"))
+@each_case("streams/stream", "source options")
 def test_what_cannot_be_ends_in_a_line(source, options):
     refuses(f"{source} {options}", scenegen.stream, json.loads(source), **json.loads(options))
 

@@ -23,7 +23,7 @@ from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, done, run
 from tests.conftest import THREE, scene_recipe, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -115,7 +115,7 @@ def lean(arrays):
     arrays["quaternion"][1] = [np.cos(0.005), np.sin(0.005), 0, 0]
 
 
-@pytest.mark.parametrize(("change", "check", "fault"), cases("verification/forged"))
+@each_case("verification/forged", "change check fault")
 def test_a_forger_who_rewrites_every_digest_is_caught_by_name(folder, change, check, fault):
     forge.edit(folder, SHARD, globals()[change])
     stored = change not in ("free_the_observed", "lose_free")
@@ -223,7 +223,7 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder):
     assert "train-00007.h5: in the folder, but dataset.json does not list it" in faults["manifest"]
 
 
-@pytest.mark.parametrize(("path", "value", "check", "fault"), cases("verification/verify"))
+@each_case("verification/verify", "path value check fault")
 def test_an_edited_manifest_is_named(folder, path, value, check, fault):
     forge.edit_at(folder, path, value)
     assert fault in failed(folder, quick=True)[check]

@@ -14,7 +14,7 @@ from scenegen.verification import verify
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, run
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -158,7 +158,7 @@ def test_what_a_map_lacks_is_refused(tmp_path, capsys, option):
     assert not out.exists()
 
 
-@pytest.mark.parametrize(("name", "value"), cases("worlds/place"))
+@each_case("worlds/place", "name value")
 def test_damaged_npz_maps_are_refused(tmp_path, name, value):
     kind = np.uint8 if name == "states" else np.float64
     changed = {"states": hall(), name: np.array(json.loads(value), kind)}

@@ -8,7 +8,7 @@ from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
 from tests.command_line import done, run
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
@@ -98,7 +98,7 @@ PICTURES = {
 }
 
 
-@pytest.mark.parametrize(("old", "new"), cases("worlds/plan"))
+@each_case("worlds/plan", "old new")
 def test_a_damaged_plan_is_refused(tmp_path, old, new):
     text = YAML.replace("0.25", "1e-3") if new == "wide.pgm" else YAML
     path = write(tmp_path, text.replace(old, new))
