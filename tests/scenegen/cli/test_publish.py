@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from tests.command_line import refused, run
+from tests.command_line import run
+from tests.refusals import refuses_command
 from tests.scenegen import cases
 
 
@@ -27,7 +28,7 @@ def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
 
 def test_bad_use_ends_in_one_line(standing, made, hub, verified, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
-    for words, told in cases("cli/publish"):
-        assert told in refused(capsys, words.replace("MADE", str(made)))
+    for (words,) in cases("cli/publish"):
+        refuses_command(capsys, words.replace("MADE", str(made)), words)
     assert not (standing / "publish").exists()
     assert not [line for line in hub.log if line.startswith(("POST", "PUT"))]

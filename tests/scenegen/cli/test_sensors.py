@@ -14,7 +14,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
 from scenegen.view.stills import draw_patterns
-from tests.command_line import ROOT, SMALL, done, refused
+from tests.command_line import ROOT, SMALL, done
 from tests.refusals import refuses_command
 from tests.scenegen import each_case
 from tests.scenegen.worlds.test_octomap import written
@@ -131,10 +131,10 @@ def test_poses_in_a_flight_follow_one_another(here):
     assert np.median(steps) > 0.49
 
 
-@each_case("cli/sensors", "words told")
-def test_what_cannot_be_ends_in_one_line(words, told, here, capsys):
+@each_case("cli/sensors", "words")
+def test_what_cannot_be_ends_in_one_line(words, here, capsys):
     before = set(here.iterdir())
-    assert told in refused(capsys, words)
+    refuses_command(capsys, words)
     assert set(here.iterdir()) == before
 
 
