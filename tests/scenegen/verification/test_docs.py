@@ -23,14 +23,13 @@ bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
 def test_a_check_of_ones_own(folder, standing, capsys):
     (standing / "my_checks.py").write_text(example("verify.md", "high = Check") + OWN)
     own = [f"my_checks:{name}" for name in ("high", "low", "bad")]
-    high, low, bad = verify(folder, quick=True, own=own).checks[-3:]
-    assert high.name == "high"
-    assert high.ok
-    assert high.counts == {"samples": 12}
-    assert not low.ok
-    assert low.faults == 12
-    assert not bad.ok
-    assert bad.faults == 12
-    assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail
+    checks = verify(folder, quick=True, own=own).checks[-3:]
+    assert [(check.name, check.faults) for check in checks] == [
+        ("high", 0),
+        ("low", 12),
+        ("bad", 12),
+    ]
+    assert checks[0].counts == {"samples": 12}
+    assert "of my_checks.py: ZeroDivisionError: division by zero" in checks[2].detail
     done(capsys, f"verify {folder} --quick --check my_checks:high")
     refuses("none", verify, folder, own=["my_checks:none"], error=DatasetError)
