@@ -24,14 +24,11 @@ def members_of(path, name):
         return members.world(name)
 
 
-@pytest.mark.parametrize("number", [0, 17, 999_999, 1_000_000, 199_999_999])
-def test_a_world_is_found_by_its_number(tmp_path, number):
-    assert members_of(tmp_path / "a.zip", f"{number:06d}.xml") == (b"<mujoco/>", {})
-
-
-@pytest.mark.parametrize("name", ["17", "0000017", "1234567890", "00001a", "٠٠٠٠١٧"])
-def test_a_number_is_written_in_one_way(tmp_path, name):
-    refuses(name, members_of, tmp_path / "a.zip", f"{name}.xml")
+def test_a_world_is_found_by_its_number_written_in_one_way(tmp_path):
+    for number in ("000000", "000017", "999999", "1000000", "199999999"):
+        assert members_of(tmp_path / "a.zip", f"{number}.xml") == (b"<mujoco/>", {})
+    for number in ("17", "0000017", "1234567890", "00001a", "٠٠٠٠١٧"):
+        refuses(number, members_of, tmp_path / "a.zip", f"{number}.xml")
 
 
 SCENE = """

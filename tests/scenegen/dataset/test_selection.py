@@ -59,6 +59,10 @@ def written(folder, tmp_path):
     return file
 
 
+def lists(numbers):
+    return {name: values.tolist() for name, values in numbers.items()}
+
+
 def with_conditions(*texts, **more):
     return Choice(where=tuple(map(Condition.of, texts)), **more)
 
@@ -107,10 +111,6 @@ def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
     expected = plain_loop(dataset, choice)
     assert lists(choose(dataset, choice)) == expected
     assert 0 < sum(map(len, expected.values())) < 2 * sum(COUNTS.values())
-
-
-def lists(numbers):
-    return {name: values.tolist() for name, values in numbers.items()}
 
 
 def test_workers_choose_the_same(two_kinds):
