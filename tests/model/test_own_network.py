@@ -11,12 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
-from scenegen.base.errors import ScenegenError
-from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
+from scenegen.model.checkpoint import load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import input_called
-from tests.command_line import done, example, page, refused, rows, run
+from tests.command_line import done, example, page, rows, run
 from tests.model.conftest import saved_network
 from tests.model.training.runs import figures, train
 from tests.refusals import refuses, refuses_command
@@ -49,8 +48,7 @@ def test_the_page_trains_completes_benches_and_exports(here, capsys):
     assert Completer.from_pretrained(opened).inputs == ("observed", "my_input:rise")
     rows = figures(Path("runs/Net"))
     assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
-    other = [word.replace("my_loss:loss", "coupled") for word in commands[0]]
-    assert "objective is" in refused(capsys, *other)
+    refuses_command(capsys, lines[0].removeprefix("scenegen ").replace("my_loss:loss", "coupled"))
     words = f"train data/pillar --weights {OWN}@runs/Net --loss my_loss:loss --maps 1"
     done(capsys, f"{words} --out runs/tuned")
     exec(example("own-network.md", "scenegen.train("), {})
@@ -66,7 +64,7 @@ def test_files_have_nothing_imported_by_themselves(here, capsys, network):
     header["network"] |= network
     save_tensors(here / "net.safetensors", tensors, header)
     for path in ("net.safetensors", "my_net:Net@net.safetensors"):
-        refuses((network, path), Completer.from_pretrained, path, error=CheckpointError)
+        refuses((network, path), Completer.from_pretrained, path)
     for words in ("complete data/pillar --weights", "export", "train --weights", "inspect"):
         assert run(capsys, f"{words} net.safetensors")[0] == 1
     assert not Path("sprung").exists()
@@ -145,7 +143,7 @@ def test_faults_of_own_code_are_refused(here, asked):
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))
     data, run = [here / "data" / "pillar"], here / "run"
-    refuses(asked, train, data, config, run, error=ScenegenError)
+    refuses(asked, train, data, config, run)
     assert not run.exists()
 
 
@@ -173,4 +171,4 @@ def test_one_task_and_a_scalar_loss_will_do_and_are_exported(here, capsys):
     done(capsys, "export wrong:Seeing@runs/Seeing")
     assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
     done(capsys, *words, "wrong:Branching")
-    assert "wrong:Branching" in refused(capsys, "export wrong:Branching@runs/Branching")
+    refuses_command(capsys, "export wrong:Branching@runs/Branching")

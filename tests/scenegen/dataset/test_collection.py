@@ -129,7 +129,7 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe, tmp_pa
     alone = built(plan_of(tmp_path / "alone", pillars, seed=4, counts=counts))
     for split in SPLITS:
         members = (samples_of(dataset, split) for dataset in (alone, *mixed.datasets[1:]))
-        assert samples_of(mixed, split) == sum(members, [])
+        assert samples_of(mixed, split) == list(itertools.chain(*members))
 
 
 def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed):
