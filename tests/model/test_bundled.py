@@ -11,17 +11,10 @@ from lidarsim.grid import iou
 from scenegen.model.bench.visibility import UNOBSERVED, classify
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import Thresholds, bundled
-from tests.command_line import rows
+from tests.scenegen import cases
 
-FIGURES = """
-anywhere → .768 → .134 → .779 → .118
-columns  → .776 → .123 → .790 → .105
-occ      → .603 → .135 → .699 → .085
-proposed → .615 → .156 → .695 → .118
-tudf     → .509 → .166 → .503 → .122
-"""
+FIGURES = {name: list(map(float, figures)) for name, *figures in cases("../model/bundled")}
 """IoU and mean error of distances in metres, of pillars and of geometric worlds."""
-FIGURES = {name: list(map(float, figures)) for name, *figures in rows(FIGURES)}
 
 
 @cache

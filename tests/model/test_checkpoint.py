@@ -16,9 +16,9 @@ from scenegen.model.checkpoint import (
     load_tensors,
     save_tensors,
 )
-from tests.command_line import rows
 from tests.model.conftest import saved_network
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 
@@ -60,21 +60,7 @@ def test_pickles_are_refused_and_not_run(tmp_path, save):
     assert not (tmp_path / "sprung").exists()
 
 
-HEADERS = """
-{"format": "other"}
-{"version": 99}
-{"network": {"variant": "occ", "width": 4}}
-{"network": {"depth": 3}}
-{"network": {"variant": "proposed", "width": 1024}}
-{"network": {"variant": "proposed", "width": "4"}}
-{"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}}
-{"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}
-{"network": {"variant": "proposed", "stem_stride": 1}}
-{"grid": null}
-"""
-
-
-@pytest.mark.parametrize("change", [change for (change,) in rows(HEADERS)])
+@each_case("../model/headers", "change")
 def test_headers_that_do_not_fit_are_refused(saved, change):
     path, _ = saved
     tensors, header = load_tensors(path)

@@ -1,5 +1,6 @@
 """ONNX files say what the network says, in every runtime, and other files are refused."""
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 
@@ -14,6 +15,7 @@ from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network
 from scenegen.model.onnx import RUNTIMES, Traced, export_onnx, load_onnx, read_graph
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 GRID = GridSpec(shape=(16, 24, 8))
 onnx = pytest.importorskip("onnx")
@@ -120,19 +122,12 @@ def test_inputs_and_outputs_go_by_name(tmp_path, runtime):
         torch.testing.assert_close(getattr(output, name), factor * maps.float() + shift)
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        {"grid": SMALL_GRID, "network": None},
-        {"grid": SMALL_GRID, "network": NETWORK | {"inputs": ["distance"]}},
-        {"grid": SMALL_GRID, "network": NETWORK | {"variant": "occ"}},
-        {"grid": SMALL_GRID | {"shape": [8, 8]}, "network": NETWORK},
-    ],
-    ids=str,
-)
-def test_headers_that_do_not_fit_are_refused(header):
-    content = build_onnx(header).SerializeToString()
-    refuses(header, read_graph, content)
+@each_case("../model/onnx_headers", "changes")
+def test_headers_that_do_not_fit_are_refused(changes):
+    header = {"grid": SMALL_GRID, "network": NETWORK}
+    for name, change in json.loads(changes).items():
+        header[name] = change and header[name] | change
+    refuses(changes, read_graph, build_onnx(header).SerializeToString())
 
 
 def weight(value, name="weight"):

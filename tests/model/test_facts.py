@@ -12,6 +12,7 @@ from scenegen.model.completion.scans import looks_of_completion
 from scenegen.worlds.clouds.write import write_points
 from tests.command_line import done, run
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import cases
 from tests.scenegen.view.test_page import Seen
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
@@ -52,25 +53,12 @@ def here(tmp_path):
     return tmp_path
 
 
-EXPECTED = {
-    "scan.pcd": {
-        "points": 500,
-        "returns": 500,
-        "lower_m": pytest.approx(POINTS.min(axis=0), abs=1e-6),
-        "mean_range_m": pytest.approx(np.linalg.norm(POINTS, axis=1).mean(), abs=1e-6),
-    },
-    "split.h5": {
-        "of": "a split",
-        "dataset": "ab12",
-        "method": "mine\\x1b[2J",
-        "arrays": {"tudf": [3, 4, 4, 2]},
-    },
-    "run": {
-        "network": "occ",
-        "kinds": ["pillar"],
-        "epochs": 3,
-        "best": {"epoch": 2, "val_loss": 0.3, "val_iou": 0.5, "val_near_mae": 0.1},
-    },
+EXPECTED = {name: json.loads(facts) for name, facts in cases("../model/facts")}
+EXPECTED["scan.pcd"] = {
+    "points": 500,
+    "returns": 500,
+    "lower_m": pytest.approx(POINTS.min(axis=0), abs=1e-6),
+    "mean_range_m": pytest.approx(np.linalg.norm(POINTS, axis=1).mean(), abs=1e-6),
 }
 
 

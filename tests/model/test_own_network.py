@@ -15,10 +15,11 @@ from scenegen.model.checkpoint import load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import input_called
-from tests.command_line import done, example, page, rows, run
+from tests.command_line import done, example, page, run
 from tests.model.conftest import saved_network
 from tests.model.training.runs import figures, train
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import each_case
 
 OWN = "my_net:Net,my_input:rise"
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -122,23 +123,9 @@ class Scaled:
 def short(seen, grid, lidar): return seen.observed[:-1]
 def failing(seen, grid, lidar): raise KeyError("gone")
 """
-ASKED = """
-{"variant": "wrong:Flat"}
-{"variant": "wrong:Blind"}
-{"variant": "wrong:Negative"}
-{"variant": "wrong:Peeking"}
-{"variant": "wrong:Masked"}
-{"objective": "wrong:detached"}
-{"variant": "wrong:Gone"}
-{"variant": "wrong:Stuck"}
-{"objective": "wrong:vector"}
-{"objective": "wrong:Scaled", "choose": "occupancy"}
-{"inputs": ["wrong:short"]}
-{"inputs": ["wrong:failing"]}
-"""
 
 
-@pytest.mark.parametrize("asked", [asked for (asked,) in rows(ASKED)])
+@each_case("../model/own_code", "asked")
 def test_faults_of_own_code_are_refused(here, asked):
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))

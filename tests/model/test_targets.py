@@ -26,6 +26,7 @@ from tests.command_line import ROOT, done, example, page
 from tests.conftest import dataset_in, small_recipe
 from tests.model.training.runs import figures, maps_of, train
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import each_case
 
 COUNTS = {"train": 8, "val": 4, "test": 4}
 PREDICTED = "bench data/street --method empty --predictions predictions --metric my_labels:Classes"
@@ -182,10 +183,9 @@ class Normal(Mean):
 class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
 class Wordy(Mean): metrics = {"one": lambda scored: "high"}
 """
-NAMES = "Plain Gone Short Missing Shapeless Iou Unweighted Best Near Normal Failing Wordy Numeric"
 
 
-@pytest.mark.parametrize("name", NAMES.split())
+@each_case("../model/targets", "name")
 def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name):
     (here / "wrong.py").write_text(WRONG)
     refuses(name, train, ["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
@@ -210,19 +210,7 @@ def test_a_dataset_without_labels_is_refused(here, folders):
     refuses("no labels", train, [folders[0]], config_of(), here / "run")
 
 
-SETTINGS = """
-{"targets": ["occupancy"]}
-{"targets": ["a:Known"]}
-{"targets": ["a:Occupancy"], "variant": "tudf"}
-{"targets": ["a:Free"], "inputs": ["observed", "free"]}
-{"targets": ["a:Gradient"]}
-{"targets": ["a:Classes", "b:Classes"]}
-{"targets": ["a:Classes"], "channels": [0]}
-{"targets": ["classes"]}
-"""
-
-
-@pytest.mark.parametrize("settings", SETTINGS.strip().splitlines())
+@each_case("../model/target_settings", "settings")
 def test_names_of_other_maps_are_refused(settings):
     refuses(settings, NetworkConfig, **json.loads(settings))
 

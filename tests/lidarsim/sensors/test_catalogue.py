@@ -5,7 +5,6 @@ import dataclasses
 import json
 import math
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,13 +15,13 @@ from lidarsim import BeamTable, MujocoEngine, Pose, attach, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
-from tests.command_line import rows
+from tests.command_line import beside, rows
 from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
 from tests.scenegen import each_case
 
 named = cache(SENSORS.find)
-DOCUMENTS = rows(Path(__file__).with_name("documents.txt").read_text(encoding="utf-8"))
+DOCUMENTS = rows(beside(__file__, "documents.txt"))
 """Of each document: beams, lowest and highest beam in degrees, degrees from column to column at
 10 Hz, points a second, range in metres."""
 SPINNING = {name: list(map(float, figures)) for name, *figures in DOCUMENTS}
@@ -99,10 +98,7 @@ def test_staggered_beams_point_where_drivers_place_them(name, row, elevation, az
     assert_allclose(z, math.sin(up), atol=2e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "firing", "begin_us", "gap_us"),
-    [("velodyne-vlp-16", [-15, 1, -13, 3], 0, 2.304), ("hesai-xt-32", [15, 14, 13], 0.368, 1.512)],
-)
+@each_case("../lidarsim/firing", "name firing begin_us gap_us", json.loads)
 def test_beams_fire_in_the_documented_order(name, firing, begin_us, gap_us):
     """While the head turns."""
     sensor = named(name)
@@ -116,16 +112,13 @@ def test_beams_fire_in_the_documented_order(name, firing, begin_us, gap_us):
     assert_allclose(np.diff(turned), -2 * math.pi * 10 * gap_us * 1e-6, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "points_hz", "up", "wide"),
-    [("livox-mid-360", 2e5, (-7, 52), 180), ("livox-avia", 2.4e5, (-38.6, 38.6), 35.2)],
-)
+@each_case("../lidarsim/patterns", "name points_hz up wide", json.loads)
 def test_a_pattern_fills_its_view_without_repeating(name, points_hz, up, wide):
     sensor = named(name)
     elevation, azimuth = angles_deg(sensor)
     assert sensor.shape == (points_hz / 10,)
     assert sensor.times_s[-1] == pytest.approx(0.1, rel=1e-3)
-    assert (elevation.min(), elevation.max()) == pytest.approx(up, abs=0.5)
+    assert (elevation.min(), elevation.max()) == pytest.approx(tuple(up), abs=0.5)
     assert up[0] - 1e-9 <= elevation.min() <= elevation.max() <= up[1] + 1e-9
     assert wide - 0.5 < np.abs(azimuth).max() <= wide + 1e-9
 

@@ -1,5 +1,7 @@
 """Laws of the lidar's ray layout, of poses and of the grid's placement, against scipy rotations."""
 
+import json
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,13 +10,11 @@ from lidarsim import Lidar, Pose
 from lidarsim.pose import rotate
 from tests.lidarsim import reference
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
-@pytest.mark.parametrize(
-    ("rows", "columns", "vertical", "pitch"),
-    [(16, 120, 60.0, 30.0), (2, 1, 10.0, 0.0), (32, 9, 90.0, -20.0), (3, 90, 0.5, 90.0)],
-)
+@each_case("../lidarsim/layouts", "rows columns vertical pitch", json.loads)
 def test_every_ray_follows_the_layout(rows, columns, vertical, pitch, mount, rng):
     """At any attitude, against `reference.lidar_directions`: products of scipy rotations, restated
     from the specification. A single column looks straight ahead."""

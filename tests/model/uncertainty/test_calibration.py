@@ -17,6 +17,7 @@ from scenegen.model.calibration import (
 )
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 SHAPE = (8, 8, 8)
 PLAIN = Calibration(worlds=30, class_weight=5.0, temperature=2.0)
@@ -99,16 +100,7 @@ def test_headers_hold_calibrations(header, expected):
     assert Calibration.of(header) == expected
 
 
-@pytest.mark.parametrize(
-    "entry",
-    [
-        3,
-        HEADER | {"temperature": float("nan")},
-        HEADER | {"worlds": "many"},
-        HEADER | {"class_weight": 0},
-        HEADER | {"temperature": -1.0},
-        HEADER | {"denied": [[0.5]]},
-    ],
-)
-def test_impossible_calibrations_are_refused(entry):
-    refuses(entry, Calibration.of, {KEY: entry})
+@each_case("../model/calibrations", "change")
+def test_impossible_calibrations_are_refused(change):
+    entry = json.loads(change)
+    refuses(change, Calibration.of, {KEY: HEADER | entry if isinstance(entry, dict) else entry})

@@ -14,29 +14,17 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
 from scenegen.view.stills import draw_patterns
-from tests.command_line import ROOT, SMALL, done
+from tests.command_line import ROOT, SMALL, beside, done
 from tests.refusals import refuses_command
 from tests.scenegen import each_case
 from tests.scenegen.worlds.test_octomap import written
 
-ROOM = """<mujoco><worldbody>
-<geom type="box" size="1 20 5" pos="11 0 0" rgba="1 1 1 1"/>
-<geom type="box" size="1 20 5" pos="-11 0 0" rgba="1 1 1 1"/>
-<geom type="box" size="20 1 5" pos="0 11 0" rgba="1 1 1 1"/>
-<geom type="box" size="20 1 5" pos="0 -11 0" rgba="1 1 1 1"/>
-</worldbody></mujoco>"""
 AT = "scan room.xml --pose 1,2,0.5,30"
-LIDAR = """sensor = "spinning"
-name = "mine"
-elevations_deg = [-5.0, 5.0]
-columns = 8
-max_range_m = 30.0
-noise = "range:0.02"
-"""
+LIDAR = beside(__file__, "mine.toml")
 
 
 FILES = {
-    "room.xml": ROOM,
+    "room.xml": beside(__file__, "room.xml"),
     "mine.toml": LIDAR,
     "small.toml": SMALL,
     "bare.toml": (BARE := SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", "")),

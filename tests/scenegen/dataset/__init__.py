@@ -6,14 +6,13 @@ import operator
 
 from scenegen.base.reading import sha256_of
 from scenegen.draw.sample import GROUPS
+from tests.command_line import beside
 
 OF_POSES = ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint")
 """Fields that a second scan from the same poses does not change."""
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
 
-SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
-<geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
-<geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
+SCENE = beside(__file__, "scene.xml")
 """A world, as the text of a file."""
 NASTY = (
     "null",

@@ -24,10 +24,9 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import ShardSpec, read_report
-from tests.command_line import rows
 from tests.conftest import DRAWN, THREE, contents, picky_recipe, plan_of, small_recipe, stop_at_val
 from tests.refusals import refuses
-from tests.scenegen import each_case
+from tests.scenegen import cases, each_case
 from tests.scenegen.conftest import same
 from tests.scenegen.verification.forge import edit_manifest, read
 
@@ -142,27 +141,13 @@ def test_what_is_finished_is_written_down_on_the_way(tmp_path, monkeypatch):
     assert make(tmp_path / "d").complete
 
 
-FORMAT = """
-observed   → bool → 24 24 16
-free       → bool → 24 24 16
-occupancy  → bool → 24 24 16
-tudf       → <f4  → 24 24 16
-ranges     → <f4  → 8 24
-position   → <f8  → 3
-quaternion → <f8  → 4
-origin     → <f8  → 3
-world      → <i8  →
-viewpoint  → <i8  →
-"""
-
-
 def test_the_format_is_the_contract(whole):
     """What the numbers are, `verify` says, which shares no code with what writes them."""
-    fields = [name for name, _, _ in rows(FORMAT)]
+    fields = [name for name, _, _ in cases("dataset/format")]
     expected = {"format": "scenegen-dataset", "version": 2, "fields": fields}
     assert read(whole).items() >= expected.items()
     with h5py.File(whole / "train-00000.h5") as shard:
-        for name, dtype, size in rows(FORMAT):
+        for name, dtype, size in cases("dataset/format"):
             stored, shape = shard[name], tuple(map(int, size.split()))
             assert stored.dtype == dtype
             assert stored.shape == (6, *shape)

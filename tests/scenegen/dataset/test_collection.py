@@ -20,56 +20,17 @@ from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
 from scenegen.worlds.kinds import kind_names
+from tests.command_line import beside
 from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 from tests.scenegen.dataset import NASTY, SCENE, put, samples_of
 
-SMALL = """
-kind = "mixed"
-[grid]
-shape = [24, 24, 16]
-[flight]
-viewpoints = 2
-[accept]
-min_solids = 0
-min_occupied_share = 0
-min_returned_share = 0
-"""
-RECIPE = f"""{SMALL}[[component]]
-kind = "pillar"
-weight = 3
-[component.world]
-density = [0.06, 0.06]
-[[component]]
-kind = "clutter"
-weight = 1
-[[component]]
-kind = "maze"
-difficulty = "hard"
-weight = 1
-"""
+RECIPE = beside(__file__, "mixed.toml")
+SMALL = RECIPE.partition("[[component]]")[0]
 COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
-DIFFERENT = f"""{SMALL}[[component]]
-kind = "pillar"
-weight = 3
-[component.noise]
-stages = "dropout:0.5"
-[[component]]
-kind = "clutter"
-weight = 2
-[component.lidar]
-sensor = "velodyne-vlp-16"
-[component.mapping]
-scans = 2
-[[component]]
-kind = "maze"
-difficulty = "hard"
-weight = 1
-[component.lidar]
-sensor = "livox-mid-360"
-"""
+DIFFERENT = beside(__file__, "different.toml")
 """Components that differ in sensor, noise and scans."""
 
 
@@ -260,22 +221,11 @@ def test_a_domain_draws_with_every_combination_of_what_it_lists(recipe):
     assert settings == set(itertools.product((2, 3), (1, 2), (Noise(), Noise.parse("dropout:0.5"))))
 
 
-INTERVALS = """
-kind = "pillar"
-[domain]
-draws = 4
-[domain.lidar]
-rows = ["2..9", 20]
-[domain.noise]
-stages = "range:0.01..0.05,dropout:0.5"
-[domain.flight]
-altitude_m = [["0.5..1.0", "3.0..2.0"]]
-"""
 BOUNDS = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
 
 
 def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(recipe):
-    recipe.write_text(INTERVALS)
+    recipe.write_text(beside(__file__, "intervals.toml"))
     drawn, again, reseeded = (
         [part for part, _ in read_components(recipe, seed=n)] for n in (3, 3, 4)
     )

@@ -27,14 +27,8 @@ from scenegen.draw.sample import GROUPS
 from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.conftest import dataset_in, small_recipe
+from tests.mutations import damage_hdf5
 from tests.mutations.case import REFUSED
-from tests.mutations.damage_hdf5 import external, link, other_shape, other_type, virtual
-from tests.mutations.hdf5_chunks import (
-    chunk_missing,
-    chunk_of_our_own,
-    shuffled_bomb,
-    unknown_filter,
-)
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.verification.conftest import failed
@@ -129,28 +123,13 @@ def test_what_is_no_manifest_is_refused(tmp_path):
     refuses("circle", Dataset, tmp_path)
 
 
-DAMAGES = {
-    virtual: [0],
-    external: [0],
-    link: [0, 5],
-    other_type: [1, 9, 17],
-    other_shape: [1, 19],
-    unknown_filter: [0],
-    chunk_missing: [0],
-    chunk_of_our_own: [5, 13, 25, 31],
-    shuffled_bomb: [0],
-}
-"""Of the campaign in tests/mutations, with seeds by which they come out otherwise."""
-
-
-@pytest.mark.parametrize(
-    ("damage", "seed"), [(damage, seed) for damage, seeds in DAMAGES.items() for seed in seeds]
-)
+@each_case("dataset/damages", "damage seed")
 def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset, damage, seed):
+    """By the campaign in tests/mutations, with seeds by which damages come out otherwise."""
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
-        assert damage(file, "occupancy", Random(seed))[1] == REFUSED
+        assert getattr(damage_hdf5, damage)(file, "occupancy", Random(int(seed)))[1] == REFUSED
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    refuses(f"{damage.__name__} {seed}", read_whole, dataset)
+    refuses(f"{damage} {seed}", read_whole, dataset)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (100 << 10)  # KB
     assert np.isfinite(scenegen.load(dataset)[3].tudf).all()  # the next shard
     assert "train-00000.h5" in failed(dataset, quick=True)["layout"]

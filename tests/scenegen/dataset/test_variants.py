@@ -2,6 +2,7 @@
 pairs of the same worlds."""
 
 import dataclasses
+import json
 
 import h5py
 import numpy as np
@@ -196,9 +197,7 @@ def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
         assert len({error[:20].tobytes() for error in drawn}) == 3
 
 
-@pytest.mark.parametrize(
-    ("heading", "shift"), [((1, 0), (5, 2, -1)), ((0, 1), (-2, 5, -1)), ((0, -1), (2, -5, -1))]
-)
+@each_case("dataset/ahead", "heading shift", json.loads)
 def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, shift):
     """Five voxels ahead, two to the left, one down."""
     recipe = small_recipe(

@@ -115,7 +115,7 @@ def test_nodes_move_what_is_below_them():
     assert_allclose(file.placed(*nodes, roots=[0]), [expected])
 
 
-@pytest.mark.parametrize("scale", [[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [-1, -2, -3]])
+@each_case("worlds/scales", "scale", json.loads)
 def test_a_mirrored_mesh_keeps_its_outside(scale):
     objects = read_gltf(File().encoded({"mesh": 0, "scale": scale})).objects()
     ((_, corners, faces),) = objects

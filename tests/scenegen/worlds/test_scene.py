@@ -3,7 +3,6 @@ without a trace."""
 
 import os
 import warnings
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,6 +16,7 @@ from scenegen.draw.source import read_scenes
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
+from tests.command_line import beside
 from tests.lidarsim.reference import unit
 from tests.refusals import refuses
 from tests.scenegen import each_case
@@ -49,7 +49,7 @@ def write(folder, text, name="world.xml"):
 
 def document(name):
     """A file beside the tests."""
-    return (Path(__file__).with_name("mjcf") / f"{name}.xml").read_text()
+    return beside(__file__, f"mjcf/{name}.xml")
 
 
 def assert_as_mujoco_compiles_it(path):
