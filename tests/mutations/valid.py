@@ -27,13 +27,6 @@ RECIPE = {
     "flight": SMALL["flight"] | {"viewpoints": 2},
     "grid": {"shape": [EDGE] * 3},
 }
-SCENE_RECIPE = {
-    "kind": "scene",
-    "flight": {"viewpoints": 1, "min_distance_m": 1.0},
-    "accept": {"min_solids": 0.0, "min_occupied_share": 0.0, "min_returned_share": 0.0},
-    "lidar": RECIPE["lidar"],
-    "grid": RECIPE["grid"],
-}
 SCENE = beside(__file__, "scene.xml")
 GENERATE = (
     "generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2 "
@@ -68,7 +61,7 @@ def make_valid(folder):
     """Make them in `folder`, an empty one, which becomes the current folder."""
     os.chdir(folder)
     (folder / "recipe.toml").write_text(to_toml(RECIPE))
-    (folder / "scene.toml").write_text(to_toml(SCENE_RECIPE))
+    (folder / "scene.toml").write_text(beside(__file__, "scene.toml"))
     run(f"{GENERATE} d")
     run(f"{GENERATE} c --compact")
     (folder / "scene.xml").write_text(SCENE)

@@ -1,5 +1,7 @@
 """What is refused, and in which words: a file beside the tests of each room."""
 
+from pathlib import Path
+
 import pytest
 
 from scenegen.base.errors import ScenegenError
@@ -10,7 +12,7 @@ def cases(name):
     """Rows of a room's `refusals.txt` under a heading: `room/heading`, or a heading alone; the last
     column is, as a rule, a part of the line that is told."""
     room, _, heading = name.rpartition("/")
-    text = beside(__file__, f"{room}/refusals.txt")
+    text = beside(__file__, Path(room, "refusals.txt"))
     return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
 
 

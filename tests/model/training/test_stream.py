@@ -32,20 +32,6 @@ def run(out, **more):
     return loop.train(maps, validation, CONFIG, out, device="cpu", **more)
 
 
-@pytest.fixture
-def drawers(tmp_path, monkeypatch):
-    """A folder with a file for every unit and process that draws it."""
-    folder, original = tmp_path / "drawers", Component.draw
-    folder.mkdir()
-
-    def draw(component, unit):
-        (folder / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
-        return original(component, unit)
-
-    monkeypatch.setattr(Component, "draw", draw)
-    return folder
-
-
 def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path, monkeypatch):
     monkeypatch.setattr("scenegen.dataset.shard.draw_unit", remembered)
     rows = run(tmp_path / "whole")
@@ -73,12 +59,20 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed():
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_no_loader_process_draws_what_another_draws(workers, drawers):
+def test_no_loader_process_draws_what_another_draws(workers, tmp_path, monkeypatch):
+    """A file tells of every unit, and of the process that draws it."""
+    original = Component.draw
+
+    def draw(component, unit):
+        (tmp_path / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
+        return original(component, unit)
+
+    monkeypatch.setattr(Component, "draw", draw)
     maps = Maps([streamed()], "train")
     batches = list(Course(maps, CONFIG).batches(3, 20))
     read = load(maps, batches, workers=workers, pinned=False)
     assert sum(len(one["occupancy"]) for one in read) == 80
-    drawn = [path.name.split() for path in drawers.iterdir()]
+    drawn = [path.name.split() for path in tmp_path.iterdir()]
     assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
     assert len({process for _, _, process in drawn}) == max(workers, 1)
 

@@ -14,19 +14,7 @@ FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint
 
 SCENE = beside(__file__, "scene.xml")
 """A world, as the text of a file."""
-NASTY = (
-    "null",
-    "-1",
-    "1e308",
-    '"x"',
-    '"../x"',
-    "[]",
-    "[[1]]",
-    "{}",
-    '{"a": 1}',
-    "true",
-    r'"\u0000"',
-)
+NASTY = beside(__file__, "nasty.txt").splitlines()
 """JSON that stands in no file of ours at that place."""
 
 

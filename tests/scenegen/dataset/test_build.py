@@ -60,12 +60,6 @@ def whole(once):
 
 
 @pytest.fixture(scope="session")
-def larger(once):
-    """One of more samples of the same."""
-    return once("build-larger", lambda folder: make(folder, counts=MORE))
-
-
-@pytest.fixture(scope="session")
 def few(once):
     """Few samples of another seed."""
     return once("build-few", lambda folder: make(folder, seed=5, counts=THREE))
@@ -111,12 +105,13 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
         assert all(same(a, b) for a, b in zip(stored, compact_split, strict=True))
 
 
-def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
+def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, tmp_path):
     """Byte by byte; whole shards are not touched, and one that was not full is made again."""
     untouched = ("train-00000.h5", "train-00001.worlds.zip", "val-00000.h5")
     before = [(folder / name).stat().st_mtime_ns for name in untouched]
     assert make(folder, counts=MORE).samples_written == 20 + 8 - 12
-    assert contents(folder) == contents(larger)
+    make(tmp_path / "larger", counts=MORE)
+    assert contents(folder) == contents(tmp_path / "larger")
     assert [(folder / name).stat().st_mtime_ns for name in untouched] == before
 
 

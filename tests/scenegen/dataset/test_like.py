@@ -28,22 +28,6 @@ from tests.scenegen.dataset.conftest import NOISE, SEVERAL
 from tests.scenegen.verification import forge
 
 
-@pytest.fixture(scope="session")
-def scenes(once):
-    """A dataset of two worlds from files; not to be changed."""
-
-    def make(folder):
-        (folder / "scenes").mkdir()
-        for n in range(2):
-            (folder / "scenes" / f"{n}.xml").write_text(SCENE.format(x=4 + n))
-        counts = {"train": 9, "val": 3, "test": 0}
-        source = read_scenes(folder / "scenes", counts, seed=0)
-        options = {"counts": counts, "seed": 0, "shard_samples": 3}
-        build(plan_dataset(folder / "d", scene_recipe(), source, **options))
-
-    return Dataset(once("like-scenes", make) / "d")
-
-
 def digest_like(dataset, folder, **changes):
     """The digest of a dataset like another, but for the changes."""
     return build(plan_like(dataset, folder, **changes)).digest
@@ -61,8 +45,14 @@ def test_with_other_counts_it_is_the_dataset_of_that_size(made, tmp_path):
     assert digest_like(made, tmp_path / "like", counts=counts) == fresh.digest
 
 
-def test_worlds_from_files_give_the_same_samples(scenes, tmp_path):
-    again = built(plan_like(scenes.folder, tmp_path / "d"))
+def test_worlds_from_files_give_the_same_samples(tmp_path):
+    (tmp_path / "scenes").mkdir()
+    for n in range(2):
+        (tmp_path / "scenes" / f"{n}.xml").write_text(SCENE.format(x=4 + n))
+    options = {"counts": {"train": 9, "val": 3, "test": 0}, "seed": 0}
+    source = read_scenes(tmp_path / "scenes", **options)
+    plan = plan_dataset(tmp_path / "d", scene_recipe(), source, **options, shard_samples=3)
+    scenes, again = built(plan), built(plan_like(tmp_path / "d", tmp_path / "again"))
     assert again.digest == scenes.digest
     assert again.manifest.like == scenes.digest
     assert again.manifest.scenes == scenes.manifest.scenes

@@ -32,7 +32,7 @@ from tests.mutations.case import REFUSED
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.verification.conftest import failed
-from tests.scenegen.verification.forge import copy, edit_at, read
+from tests.scenegen.verification.forge import edit_at, read
 from tests.scenegen.verification.forge import edit_manifest as edit
 
 BAD = 'null -1 1e308 "x" [] [[1]] {} {"a":1} true'
@@ -55,20 +55,13 @@ def paths_in(value, above=""):
             yield from paths_in(item, f"{above}{name}.")
 
 
-@pytest.fixture(scope="module")
-def rich(tmp_path_factory):
-    """A dataset whose manifest has all that there may be, but for worlds from files."""
+def test_no_value_in_a_manifest_ends_in_a_traceback(tmp_path):
+    """Or in another sample. The manifest has all that there may be, but for worlds from files."""
     rays = BeamTable.of(Lidar(rows=4, columns=12))
     recipe = small_recipe(noise={"stages": "range:0.02"}, mapping={"scans": 2})
     parts = {"labels": labels_by("class", ()), "normals": Normals()}
-    recipe = dataclasses.replace(recipe, lidar=rays, parts=parts)
-    return dataset_in(tmp_path_factory.mktemp("rich") / "d", recipe).folder
-
-
-def test_no_value_in_a_manifest_ends_in_a_traceback(rich, tmp_path):
-    """Or in another sample."""
-    folder = copy(rich, tmp_path / "d")
-    good, dataset = (folder / NAME).read_text(), Dataset(folder)
+    dataset = dataset_in(tmp_path, dataclasses.replace(recipe, lidar=rays, parts=parts))
+    folder, good = tmp_path, (tmp_path / NAME).read_text()
     expected = dataset.split("train")[0].sha256(), dataset.world("train", 0)
     outcomes, lines = Counter(), set()
     for path, value in itertools.product(paths_in(json.loads(good)), BAD):

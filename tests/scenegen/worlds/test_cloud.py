@@ -199,7 +199,7 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     (tmp_path / "a.glb").write_bytes(encode_world(drawn))
     if suffix != ".glb":
         parts = trimesh.load(tmp_path / "a.glb", force="scene")
-        parts.apply_transform([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+        parts.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         parts.to_mesh().export(file)
     place = GridSpec(shape=(60, 60, 40)), np.array([-6.03, -6.03, -1.03])
     truths = [world.truth(*place)["occupancy"] for world in (read_world(file), drawn)]

@@ -48,11 +48,6 @@ def write_map(path, states, **changed):
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    return read_place(write_map(tmp_path_factory.mktemp("map") / "hall.npz", hall()))
-
-
-@pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     """Maps and one MJCF file, dealt to the three splits."""
     folder = tmp_path_factory.mktemp("places")
@@ -69,7 +64,8 @@ def dataset(tmp_path_factory):
     return built(plan, workers=1).folder
 
 
-def test_flights_keep_away_from_voxels_not_free(place, rng):
+def test_flights_keep_away_from_voxels_not_free(tmp_path, rng):
+    place = read_place(write_map(tmp_path / "hall.npz", hall()))
     cells = np.argwhere(np.pad(place.voxels.states, 6) != FREE) - 6  # beyond it, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M
     for point in rng.uniform(*place.voxels.bounds, (60, 3)):
