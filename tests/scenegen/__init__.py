@@ -9,11 +9,11 @@ from tests.command_line import beside, rows
 
 
 def cases(name):
-    """Rows of a room's `refusals.txt` under a heading: `room/heading`, or a heading alone; the last
-    column is, as a rule, a part of the line that is told."""
+    """Rows of a room's `refusals.txt`, refused or not, under a heading: `room/heading`, or a heading
+    alone."""
     room, _, heading = name.rpartition("/")
     text = beside(__file__, Path(room, "refusals.txt"))
-    return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
+    return rows(text.split(f"\n== {heading}\n")[1].partition("\n==")[0])
 
 
 def each_case(name, columns, read=str):
