@@ -30,6 +30,7 @@ def here(folders, standing):
     """A user's folder with the page's files, to stand in."""
     for name in ("my_net.py", "my_loss.py", "my_input.py"):
         (standing / name).write_text(example("own-network.md", f"# {name}"))
+    (standing / "wrong.py").write_text(WRONG)
     (standing / "data").mkdir()
     (standing / "data" / "pillar").symlink_to(folders[0])
     yield standing
@@ -127,7 +128,6 @@ def failing(seen, grid, lidar): raise KeyError("gone")
 
 @each_case("../model/own_code", "asked")
 def test_faults_of_own_code_are_refused(here, asked):
-    (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))
     data, run = [here / "data" / "pillar"], here / "run"
     refuses(asked, train, data, config, run)
@@ -135,13 +135,11 @@ def test_faults_of_own_code_are_refused(here, asked):
 
 
 def test_an_error_of_ones_own_network_names_its_line(here, capsys):
-    (here / "wrong.py").write_text(WRONG)
     words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Broken"
     refuses_command(capsys, words)
 
 
 def test_a_network_may_have_a_training_step_of_its_own(here):
-    (here / "wrong.py").write_text(WRONG)
     config = TrainConfig.of({"variant": "wrong:Twice", "width": 4, "epochs": 4, "lr": 0.01})
     first, *_, last = train([here / "data" / "pillar"], config, here / "run")
     assert last["train_occupied"] < first["train_occupied"]
@@ -152,7 +150,6 @@ def test_a_network_may_have_a_training_step_of_its_own(here):
 
 @pytest.mark.slow
 def test_one_task_and_a_scalar_loss_will_do_and_are_exported(here, capsys):
-    (here / "wrong.py").write_text(WRONG)
     words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
     done(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)
     done(capsys, "export wrong:Seeing@runs/Seeing")

@@ -54,6 +54,13 @@ def config_of(**more):
     return TrainConfig.of({**target, "precision": "float32", **more})
 
 
+@pytest.fixture
+def trained(here):
+    """The same, with a short run."""
+    train(["data/street"], config_of(epochs=1), here / "run")
+    return here
+
+
 def test_the_page_trains_completes_and_reads_back(here, capsys):
     lines = re.findall(r"^    scenegen (.*)$", page("own-network.md"), re.MULTILINE)
     training, completing, benching = lines[1:4]
@@ -97,8 +104,7 @@ def test_metrics_of_classes_need_their_truth(here, folders, capsys):
     refuses_command(capsys, f"{words} --metric my_labels:Classes")
 
 
-def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(trained, capsys):
     with Path("my_labels.py").open("a") as file:
         file.write("    def truth(self, sample, grid):\n        return sample.voxel_class / None\n")
     target_called.cache_clear()
@@ -107,8 +113,7 @@ def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(here, capsys):
     refuses_command(capsys, words)
 
 
-def test_a_scan_is_stored_with_its_classes(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_a_scan_is_stored_with_its_classes(trained, capsys):
     completer = Completer.from_pretrained("my_labels:Classes@run")
     sample = scenegen.load("data/street", "test")[0]
     points = sample.points()
@@ -142,20 +147,20 @@ def test_a_run_goes_on_where_it_was(here):
     assert train(["data/street"], config_of(), here / "run") == rows
 
 
-def test_files_that_name_other_arrays_are_refused(here):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_files_that_name_other_arrays_are_refused(trained):
     dataset = scenegen.load("data/street", "test").dataset
-    predict_split(Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", here / "p")
-    Predicted(here / "p").check(dataset, "test")
+    predict_split(
+        Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", trained / "p"
+    )
+    Predicted(trained / "p").check(dataset, "test")
     for others in ("world", "classes,classes", "a b", "absent", "tudf", "x/y"):
-        with h5py.File(here / "p" / "test-00000.h5", "a") as file:
+        with h5py.File(trained / "p" / "test-00000.h5", "a") as file:
             file.attrs["others"] = others
             file.attrs.pop("digest", None)
-        refuses(others, Predicted(here / "p").check, dataset, "test")
+        refuses(others, Predicted(trained / "p").check, dataset, "test")
 
 
-def test_a_file_has_no_target_imported_by_itself(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_a_file_has_no_target_imported_by_itself(trained, capsys):
     refuses_command(capsys, "complete data/street --weights run")
 
 

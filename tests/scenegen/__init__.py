@@ -9,8 +9,7 @@ from tests.command_line import beside, rows
 
 
 def cases(name):
-    """Rows of a room's `refusals.txt`, refused or not, under a heading: `room/heading`, or a heading
-    alone."""
+    """Rows of a room's `refusals.txt`, refused or not: `room/heading`, or a heading alone."""
     room, _, heading = name.rpartition("/")
     text = beside(__file__, Path(room, "refusals.txt"))
     return rows(text.split(f"\n== {heading}\n")[1].partition("\n==")[0])

@@ -91,11 +91,9 @@ def test_staggered_beams_point_where_drivers_place_them(name, row, elevation, az
     columns = sensor.shape[1]
     turned = 360 / columns * np.arange(columns) + 360 * 10 * sensor.times_s[row, 0]
     around, up = np.radians(180 - turned - float(azimuth)), math.radians(float(elevation))
-    level = math.cos(up)
-    x, y, z = sensor.directions_body[row].T
-    assert_allclose(x, level * np.cos(around), atol=2e-5)
-    assert_allclose(y, level * np.sin(around), atol=2e-5)
-    assert_allclose(z, math.sin(up), atol=2e-5)
+    x, y = math.cos(up) * np.cos(around), math.cos(up) * np.sin(around)
+    expected = np.stack(np.broadcast_arrays(x, y, math.sin(up)), axis=1)
+    assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
 
 
 @each_case("../lidarsim/firing", "name firing begin_us gap_us", json.loads)

@@ -28,8 +28,13 @@ def samples_of(dataset, split):
 
 
 def put(file, path, value):
-    """Put what the JSON `value` says at a dotted path of a JSON file."""
+    """Put what the JSON `value` says at a dotted path of a JSON file; nothing deletes what is
+    there."""
     document = json.loads(file.read_text())
     *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
-    functools.reduce(operator.getitem, above, document)[last] = json.loads(value)
+    place = functools.reduce(operator.getitem, above, document)
+    if value:
+        place[last] = json.loads(value)
+    else:
+        del place[last]
     file.write_text(json.dumps(document))

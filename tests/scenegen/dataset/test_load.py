@@ -4,7 +4,6 @@ threads."""
 import copy
 import hashlib
 import html
-import multiprocessing
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
@@ -66,18 +65,6 @@ def test_a_copy_of_a_sample_is_plain_and_whole(made):
         assert type(copied) is Sample
         assert_array_equal(copied.points(), sample.points())
         assert same(copied, sample)
-
-
-def test_many_processes_read_what_one_reads(made):
-    """Forked ones with its open files, and those that a split travels to as bytes."""
-    split = scenegen.load(made)
-    expected = [digest((split, index)) for index in range(11)]  # which opens files in this process
-    with multiprocessing.get_context("fork").Pool(2) as pool:
-        assert pool.map(digest, [(split, n) for n in range(11)], chunksize=1) == expected
-        pool.close()
-        pool.join()
-    sent = pickle.loads(pickle.dumps(split))
-    assert [digest((sent, index)) for index in range(11)] == expected
 
 
 def test_many_threads_and_few_open_files_read_the_same(made, monkeypatch):

@@ -298,20 +298,11 @@ def bucket(tmp_path, monkeypatch):
         yield Store("s3://lab/x")
 
 
-VERBS = "cut read, cut fetch, page put"
-VERBS += "".join(
-    f", {answer} {verb}"
-    for answer in ("circle", "secret")
-    for verb in ("read", "fetch", "list", "put")
-)
-
-
-@pytest.mark.parametrize("case", VERBS.split(", "))
-def test_an_odd_servers_answer_ends_in_one_line(case, bucket, monkeypatch, tmp_path):
-    answer, verb = case.split()
+@each_case("stores/odd", "answer verb")
+def test_an_odd_servers_answer_ends_in_one_line(answer, verb, bucket, monkeypatch, tmp_path):
     monkeypatch.setattr(Odd, "answers", repeat(ODD[answer]))
     words = {"read": ["y", 100], "fetch": ["y", tmp_path / "y"], "list": [], "put": ["y", b""]}
-    line = refuses(case, getattr(bucket, verb), *words[verb])
+    line = refuses(f"{answer} {verb}", getattr(bucket, verb), *words[verb])
     assert not [word for word in SECRETS if word in line]
 
 
