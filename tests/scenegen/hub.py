@@ -113,12 +113,12 @@ class _Handler(BaseHTTPRequestHandler):
 def create(page, hub, body):
     fields = json.loads(body)
     name = f"{fields['organization']}/{fields['name']}"
-    if name in hub.repositories:
-        raise Refused(409, "repository is there")
-    private = "private" in (fields.get("visibility"), fields.get("private") and "private")
-    hub.repositories[name] = Repository(private=private)
-    hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
-    page._answer({"url": f"{hub.url}/datasets/{name}", "id": name})
+    is_there = name in hub.repositories
+    if not is_there:
+        private = "private" in (fields.get("visibility"), fields.get("private") and "private")
+        hub.repositories[name] = Repository(private=private)
+        hub.repositories[name].commit({".gitattributes": b"*.h5 filter=lfs\n"})
+    page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if is_there else 200)
 
 
 def _known(hub, name, revision="main"):
