@@ -53,8 +53,8 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(tmp_path):
     rays = BeamTable.of(Lidar(rows=4, columns=12))
     recipe = small_recipe(noise={"stages": "range:0.02"}, mapping={"scans": 2})
     parts = {"labels": labels_by("class", ()), "normals": Normals()}
-    dataset = dataset_in(tmp_path, dataclasses.replace(recipe, lidar=rays, parts=parts))
-    folder, good = tmp_path, (tmp_path / NAME).read_text()
+    dataset = dataset_in(tmp_path / "d", dataclasses.replace(recipe, lidar=rays, parts=parts))
+    folder, good = dataset.folder, (dataset.folder / NAME).read_text()
     expected = dataset.split("train")[0].sha256(), dataset.world("train", 0)
     outcomes, lines = Counter(), set()
     # of a list, the first item
