@@ -249,16 +249,15 @@ def test_the_command_ends_with_three_if_others_made_other_bits(folder, capsys):
 
 
 def test_only_a_folder_without_a_dataset_raises(tmp_path):
-    def refused(case):
-        refuses(case, verify, tmp_path)
-
-    refused("empty")
-    with open(tmp_path / NAME, "wb") as file:
-        os.truncate(file.fileno(), 3 << 30)
-    refused("huge")
-    (tmp_path / NAME).unlink()
-    os.mkfifo(tmp_path / NAME)
-    refused("pipe")
+    folder = tmp_path / "d"  # beside which lies no other test's dataset, to be suggested
+    folder.mkdir()
+    refuses("empty", verify, folder)
+    (folder / NAME).touch()
+    os.truncate(folder / NAME, 3 << 30)
+    refuses("huge", verify, folder)
+    (folder / NAME).unlink()
+    os.mkfifo(folder / NAME)
+    refuses("pipe", verify, folder)
 
 
 def test_a_world_in_two_splits_of_a_collection_is_found(originals, tmp_path):
