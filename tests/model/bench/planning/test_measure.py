@@ -36,10 +36,10 @@ def scattered(seed):
     return occupied
 
 
-def trials_in(truth, count, seed, config=PLAN, **more):
+def trials_in(truth, count, seed, **more):
     """Trials of a stream of its own."""
     rng = np.random.default_rng(seed)
-    return draw_trials(truth, GRID, config, count=count, rng=rng, **more)
+    return draw_trials(truth, GRID, PLAN, count=count, rng=rng, **more)
 
 
 def points_of(path):
