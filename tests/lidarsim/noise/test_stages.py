@@ -157,9 +157,6 @@ def test_the_strongest_echo_is_the_one_of_most_light():
 ROOM = [f'type="box" size="{size} 5" pos="{place} 0"' for size, place in WALLS]
 
 
-ROOM += [f'type="box" size="20 1 5" pos="0 {side} 0"' for side in (11, -11)]
-
-
 @pytest.mark.parametrize("turned", [0.0, 200.0])
 def test_a_corrected_scan_lies_on_the_walls(turned):
     """The room is 20 m wide: a point on a wall has 10 m for its greater coordinate. An uncorrected
