@@ -12,22 +12,14 @@ import pytest
 from scenegen import __main__ as cli
 
 ROOT = Path(__file__).parents[1]
-SMALL = """
-kind = "pillar"
-[world]
-size_m = [16, 16, 8]
-[flight]
-viewpoints = 3
-margin_m = 2
-min_distance_m = 4
-[accept]
-min_solids = 1
-[lidar]
-rows = 8
-columns = 24
-[grid]
-shape = [24, 24, 16]
-"""
+
+
+def beside(file, name):
+    """The text of a file that lies beside a test."""
+    return (Path(file).parent / name).read_text(encoding="utf-8")
+
+
+SMALL = beside(__file__, "small.toml")
 
 
 def code_of(*words):

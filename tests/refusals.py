@@ -56,8 +56,8 @@ def refuses(case, act, *given, error=(ValueError, ScenegenError), **more):
     return str(caught.value)
 
 
-def refuses_command(capsys, words):
+def refuses_command(capsys, words, case=None):
     """A command ends in one line, prints nothing else, and keeps the law; its line."""
     line = refused(capsys, words).rstrip("\n")
-    check_wording(words, line)
+    check_wording(case or words, line)
     return line

@@ -6,23 +6,12 @@ import torch
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
-from tests.command_line import code_of, done, rows
+from tests.command_line import code_of, done
 from tests.conftest import contents, dataset_in
 from tests.refusals import refuses_command
+from tests.scenegen import each_case
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
-COMMANDS = """
-inspect DATA
-verify DATA --quick --workers 1
-view DATA --html v.html --n 4 --weights n.safetensors
-render DATA --split test -o r.png
-world DATA 0 -o w.xml
-take DATA --split test --n 3 -o t.json
-convert DATA --to npz -o out
-complete DATA --weights n.safetensors -o out --device cpu
-bench DATA --quick --method returns --workers 1
-train DATA --epochs 1 --width 1 --out run --device cpu
-"""
 
 
 @pytest.fixture
@@ -47,7 +36,7 @@ def here(once, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("data", ["both", "few.json"])
-@pytest.mark.parametrize("words", [words for (words,) in rows(COMMANDS)])
+@each_case("../collections", "words")
 def test_every_command_takes_it(here, capsys, words, data):
     done(capsys, words.replace("DATA", data))
 

@@ -7,6 +7,7 @@ import pytest
 
 from tests.command_line import SMALL, done, example, page, rows
 from tests.refusals import refuses_command
+from tests.scenegen import each_case
 
 EXAMPLES = """
 my_methods.py  → bench.md    → class Grown
@@ -55,7 +56,9 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     assert "21 passed, 1 skipped" in said
     done(f"world {folder} 0")
     ended = shell.scenegen(*publish.split(), here=here)
-    assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
+    assert ended.code == 1
+    assert "give --kind" in ended.err
+    assert ended.err.count("\n") == 1
 
 
 def regenerated(table):
@@ -87,7 +90,8 @@ def test_a_plain_kind_takes_every_difficulty(folder, names, mixture, capsys):
     for name in names.split():
         done(capsys, f"take mix --kind {name} -o taken.json --quiet --workers 1")
         (taken,) = json.loads((mixture.parent / "taken.json").read_text())["datasets"]
-        assert (taken["path"], taken["samples"]) == (f"mix/{folder}-hard", {"train": [0, 1, 2]})
+        assert taken["path"] == f"mix/{folder}-hard"
+        assert taken["samples"] == {"train": [0, 1, 2]}
 
 
 @pytest.mark.parametrize("kind", ["pillar-medium", "Vineyard-easy", "cave"])
@@ -110,30 +114,6 @@ def test_a_collections_worlds_of_the_kind_are_drawn_again(mixture, capsys):
     refuses_command(capsys, "verify mix --kind my_worlds:Orchard")
 
 
-LACKING = f"""
-generate --quiet --kind absent:Vineyard
-generate --quiet --kind wrong:Other
-generate --quiet --kind wrong:Bare
-generate --quiet --kind wrong:Odd
-generate --quiet --kind wrong:{"K" * 95}
-wrong:plain
-trian
-generate --quiet --kind wrong:Failing --workers 1
-generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2
-bench made --quiet --method wrong:Broken
-bench made --quiet --method wrong:Worse --workers 2
-wrong:failing
-ends:all
-generate --quiet --kind wrong:Leafy --workers 1
-generate --quiet --kind wrong:Heavy --workers 1
-generate --quiet --kind wrong:Heavier --workers 1
-recipe wrong:Crowded
-recipe wrong:Graded
-generate --quiet --kind wrong:Sparse --workers 1
-scan pillar --flight --lidar wrong:Ray
-generate --quiet --kind pillar --workers 1 --engine wrong:Still
-generate --quiet --kind pillar --workers 1 --engine wrong:Short
-"""
 WRONG = f"""
 def gone():
     raise KeyError("gone")
@@ -198,7 +178,7 @@ class Heavier(Heavy):
 """
 
 
-@pytest.mark.parametrize("words", [words for (words,) in rows(LACKING)])
+@each_case("../own", "words")
 def test_one_that_lacks_something_is_told_in_one_line(words, standing, made, capsys):
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")

@@ -6,8 +6,9 @@ import shutil
 
 import pytest
 
-from tests.command_line import example, page, refused, rows
-from tests.refusals import check_wording
+from tests.command_line import example, page
+from tests.refusals import refuses_command
+from tests.scenegen import each_case
 
 FILES = {
     "sensor.md": "my_lidar.toml my_rays.toml my.toml",
@@ -65,25 +66,13 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     assert one.read_bytes() == other.read_bytes()
 
 
-WRONG = """
-my.toml      → my_sensor:Rosette → my_senser:Rosette
-my.toml      → my_sensor:Rosette → rastar
-my.toml      → petals            → petal
-my_sensor.py → def times_s       → def times
-my_sensor.py → (self.rays,)      → (7,)
-my_sensor.py → 20.0              → 'a' / 2
-my_sensor.py → @dataclass        → # @
-"""
-
-
-@pytest.mark.parametrize(("file", "find", "put"), rows(WRONG))
+@each_case("../own_sensor", "file find put")
 @pytest.mark.usefixtures("standing")
 def test_a_sensor_that_is_none_is_told_of_in_one_line(examples, capsys, file, find, put):
     text = (examples / file).read_text()
     assert find in text
     (examples / file).write_text(text.replace(find, put))
-    line = refused(capsys, "generate --recipe my.toml --n 3 --quiet")
-    check_wording(put, line.rstrip("\n"))
+    refuses_command(capsys, "generate --recipe my.toml --n 3 --quiet", put)
 
 
 def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples, shell):

@@ -16,42 +16,10 @@ import pytest
 from lidarsim.jit import cache_folder
 from scenegen.__main__ import app
 from tests.command_line import ROOT, SMALL, code_of, process, python
+from tests.scenegen import cases
 
-COMMANDS = """
-generate --recipe small.toml --n 4 --val 40 --test 2 --out d --workers 1
-inspect d
-inspect scan.XYZ
-world d 0 -o w.xml
-verify d --workers 1
-train d --epochs 1 --width 1 --out run --device cpu
-complete d --weights run -o p --device cpu
-complete scan.XYZ --weights run -o s.h5 --device cpu
-complete d --weights n.onnx -o o
-bench d --weights run --predictions p --quick --workers 1
-fly world w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
-fly replay f.json
-publish d --repo ada/d --dry-run --quick --workers 1
-doctor
-completion bash
-export run -o e.onnx
-calibrate run d -o c.safetensors
-sensors velodyne-vlp-16 -o p.png
-scan w.xml --flight --noise range:0.02 -o s.ply
-scan w.xml --flight --sequence --length 3 -o log
-map scan.XYZ --assume-free -o m.npz
-ingest log -o maps
-view d --html v.html --weights run
-render d --split test --predictions p -o r.png
-render w.xml --flight -o r.png
-convert d --to semantickitti -o k
-convert d --to webdataset -o t
-recipe pillar
-generate --like d --noise range:0.02 -o again --workers 1
-take d --split train --where occupied>=0 -o taken.json --workers 1
-inspect taken.json
-"""
+WORDS = [line.split() for (line,) in cases("../silence")]
 """Every command, in an order in which each finds what it needs."""
-WORDS = [line.split() for line in COMMANDS.strip().splitlines()]
 NAMES = {words[0] for words in WORDS}
 DEAR = {"export"}
 """Commands that take ten seconds and more."""

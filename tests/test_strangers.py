@@ -7,44 +7,14 @@ import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from tests.command_line import ROOT, SMALL, done, refused, rows
-from tests.refusals import check_wording, refuses_command
+from tests.command_line import ROOT, SMALL, done
+from tests.refusals import refuses_command
+from tests.scenegen import cases
 from tests.scenegen.base import everywhere
 
-FILES = f"""
-world d 0 -o w.xml                      → w.xml
-render d --quiet                        → sample.png
-scan {ROOT}/scenes/forest.xml --flight --quiet                    → scan.ply
-sensors raster -o s.png                 → s.png
-recipe pillar -o new/r.toml             → new/r.toml
-view d --html v.html --n 1              → v.html
-export n.safetensors                    → n.onnx
-calibrate n.safetensors d -o c.safetensors                    → c.safetensors
-complete scan.npy --weights n.safetensors --device cpu        → scan.completed.h5
-map scan.npy --assume-free              → map.npz
-take d --n 1 -o t.json                  → t.json
-fly world pillar --robot reactive --flights 1 -o f.json       → f.json
-"""
+FILES = [(words.replace("ROOT", str(ROOT)), name) for words, name in cases("../files")]
 """Commands and a file that each writes."""
-GENERATE = "generate --recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
-FOLDERS = f"""
-bench d --quick --method returns -o out → report.json
-train d --out out --epochs 1 --device cpu → card.md
-train d --out out --epochs 1 --device cpu → best.safetensors
-{GENERATE} → train-00000.h5
-{GENERATE} → rays.npy
-{GENERATE} → dataset.json
-{GENERATE} → notes.txt
-generate --like d --noise range:0.02 --quiet --out out        → rays.npy
-generate --kind mixed --n 24 --quiet --out out                → collection.json
-convert d --to npz -o out               → convert.json
-convert d --to npz -o out               → train/000000.npz
-complete d --weights n.safetensors -o out                     → test-00000.h5
-complete d --weights n.safetensors -o out                     → predictions.json
-ingest log -o out                       → map.npz
-publish d --repo ada/d --dry-run -o out → README.md
-publish d --repo ada/d --dry-run -o out → SHA256SUMS
-"""
+FOLDERS = cases("../folders")
 """Commands and a name that each uses in the folder `out`."""
 SILENT = ("completion", "doctor", "inspect", "verify")
 """Commands that write no file."""
@@ -67,26 +37,24 @@ def here(once, tmp_path, monkeypatch):
 
 
 def test_every_command_is_here():
-    named = {words.split()[0] for words, _ in rows(FILES) + rows(FOLDERS)}
+    named = {words.split()[0] for words, _ in FILES + FOLDERS}
     assert named | set(SILENT) == set(PLACES), "a new command? say here what it writes"
 
 
-@pytest.mark.parametrize(("words", "name"), rows(FILES) + rows(FOLDERS))
+@pytest.mark.parametrize(("words", "name"), FILES + FOLDERS)
 def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
-    folder = "out" * ((words, name) in rows(FOLDERS))
+    folder = "out" * ((words, name) in FOLDERS)
     path = here / folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     content = b"{}" if path.suffix == ".json" else b"mine"
     path.write_bytes(content)
     before = set(here.rglob("*"))
-    line = refused(capsys, words)
-    assert (folder or name) in line
-    check_wording(f"{words} {name}", line.rstrip("\n"))
+    assert (folder or name) in refuses_command(capsys, words, f"{words} {name}")
     assert path.read_bytes() == content
     assert set(here.rglob("*")) == before
 
 
-@pytest.mark.parametrize(("words", "name"), [rows(FILES)[n] for n in (0, 4, 5)])
+@pytest.mark.parametrize(("words", "name"), [FILES[n] for n in (0, 4, 5)])
 def test_its_own_is_replaced_until_somebody_changes_it(words, name, here, capsys):
     try:
         os.setxattr(here, "user.test", b"")

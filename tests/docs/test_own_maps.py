@@ -19,5 +19,6 @@ def test_the_documented_maps_train(tmp_path, monkeypatch, rng):
     text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))")
     exec(text, {})
     network, saved_grid, about = load_network(tmp_path / "runs/yard/best.safetensors")
-    assert (network.config.width, saved_grid) == (4, GridSpec(shape=(16, 16, 16)))
+    assert network.config.width == 4
+    assert saved_grid == GridSpec(shape=(16, 16, 16))
     assert about["settings"]["kinds"] == ["yard"]

@@ -10,22 +10,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Fault
+from tests.command_line import beside
 from tests.lidarsim import reference
-from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
+from tests.lidarsim.engines.test_laws import ASSETS, from_mujoco
 from tests.refusals import refuses
 
-WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
-<geom type="plane" size="0 0 1"/>
-<geom type="hfield" hfield="h" pos="-3 0 0"/>
-<geom type="mesh" mesh="m" pos="3 3 0.2"/>
-<body name="robot" pos="0 0 2.5"><freejoint/><geom name="hull" type="box" size=".3 .2 .1"/>
-  <body name="arm" pos=".4 0 .2"><joint axis="0 1 0"/>
-   <geom name="arm" type="capsule" size=".05 .3"/></body></body>
-<body name="ball" pos="1.5 .2 4"><freejoint/><geom type="sphere" size=".4"/></body>
-<body name="stone" pos="1 2 3" euler="20 30 40"><freejoint/><geom type="mesh" mesh="n"/></body>
-<body name="drum" pos="2 -1.5 3" euler="50 0 20"><freejoint/>
-  <geom type="cylinder" size=".5 .3"/></body>
-</worldbody></mujoco>"""
+WORLD = beside(__file__, "carrier.xml").format(assets=ASSETS)
 LIDAR = Lidar(rows=12, columns=40, vertical_fov_deg=150.0)
 
 

@@ -2,25 +2,20 @@
 it."""
 
 import itertools
+import json
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
-
-GRIDS = [
-    GridSpec(shape=(5, 3, 4), voxel_m=0.2),
-    GridSpec(shape=(1, 1, 1), voxel_m=3.0),
-    GridSpec(shape=(2, 7, 3), voxel_m=0.13),
-]
-POSITIONS = [np.zeros(3), np.array([-7.3, 2.9, 0.05]), np.array([1e3, -1e3, 12.34])]
+from tests.scenegen import cases, each_case
 
 
-@pytest.mark.parametrize("grid", GRIDS)
-def test_the_grid_lies_around_its_position_and_a_centres_index_is_its_voxel(grid):
-    assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
-    for position in POSITIONS:
+@each_case("../lidarsim/grids", "shape voxel_m", json.loads)
+def test_the_grid_lies_around_its_position_and_a_centres_index_is_its_voxel(shape, voxel_m):
+    grid = GridSpec(shape=shape, voxel_m=voxel_m)
+    assert_array_equal(grid.extent_m, [n * voxel_m for n in shape])
+    for position in np.loadtxt(sum(cases("../lidarsim/positions"), ())):
         origin = grid.origin_at(position)
         centres = grid.centres(origin)
         assert_array_equal(grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1))

@@ -112,7 +112,8 @@ def test_a_kernel_follows_those_that_it_calls(package):
     again = fresh("caller").summed
     assert again(values) == 12.0
     stats = again.compiled.stats  # what was compiled is kept
-    assert (sum(stats.cache_hits.values()), sum(stats.cache_misses.values())) == (1, 0)
+    assert sum(stats.cache_hits.values()) == 1
+    assert sum(stats.cache_misses.values()) == 0
     (package / "callee.py").write_text(CALLEE.replace("2.0", "5.0"))
     assert fresh("caller").summed(values) == 30.0
 

@@ -4,6 +4,8 @@ The truth comes from `reference`: a slab test of every voxel against every ray, 
 arithmetic, with voxels shrunk (which must be free) and grown (which may be) by 1e-9 m.
 """
 
+import json
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -12,6 +14,7 @@ from lidarsim import BeamTable, GridSpec, Pose, Scan, voxelize
 from lidarsim.pose import rotate
 from tests.lidarsim import reference
 from tests.refusals import refuses
+from tests.scenegen import cases
 
 SMALL = GridSpec(shape=(6, 5, 4), voxel_m=0.3)
 DYADIC = GridSpec(shape=(8, 8, 8), voxel_m=0.25)
@@ -47,11 +50,8 @@ def assert_right(scan, grid, got):
     return must, may
 
 
-PARTS = [0.0, -0.0, 1.0, -1.0, 1e-17, -1e-12, 1e-9, 0.5, -1e-300, -5e-324, 1 - 2.0**-53]
-REACHES = [np.inf, 0.0, 1e-12, 1e-7, 0.15, 0.3, 0.45, 0.6, 50.0]
-PLACES = [(0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (-7.3, 100.7, 1.5), (0.15, 0.15, -0.15)]
-GRIDS = [SMALL, DYADIC, GridSpec(shape=(4, 4, 4)), GridSpec(shape=(3, 5, 1), voxel_m=0.2)]
-GRIDS += [GridSpec(shape=(1, 1, 1), voxel_m=3.0), GridSpec(shape=(11, 2, 7), voxel_m=0.37)]
+PARTS, REACHES, PLACES, GRIDS = map(json.loads, sum(cases("../lidarsim/voxelization"), ()))
+GRIDS = [GridSpec(shape=shape, voxel_m=voxel_m) for shape, voxel_m in GRIDS]
 
 
 def test_any_rays_on_small_grids_match_rational_arithmetic():

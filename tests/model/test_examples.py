@@ -14,9 +14,10 @@ from scenegen.fly.loop import fly
 from scenegen.model.completion.completer import Completer
 from scenegen.model.inputs import channels
 from scenegen.model.robots.flights import robot_maker
-from tests.command_line import ROOT, done, refused
+from tests.command_line import ROOT, done
 from tests.model.conftest import saved_network
 from tests.model.training.runs import figures
+from tests.refusals import refuses_command
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -55,7 +56,7 @@ def test_a_diffusion_learns_and_draws(here, capsys):
     )
     assert_array_equal(first, again)
     assert (first != other).any()
-    assert "draws its answers" in refused(capsys, f"export {own}@run -o net.onnx")
+    refuses_command(capsys, f"export {own}@run -o net.onnx")
 
 
 def test_a_memory_of_one_scan_is_that_scan(here, capsys):

@@ -7,6 +7,7 @@ from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Conv3d, Network
 from tests.command_line import page
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 SHAPE = (16, 24, 8)
 
@@ -24,21 +25,14 @@ def seen(batch):
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_predicts_its_tasks_at_full_size(variant):
     output = network(variant=variant)(seen(2))
-    assert (output.logits is None, output.tudf is None) == (variant == "tudf", variant == "occ")
+    assert (output.logits is None) == (variant == "tudf")
+    assert (output.tudf is None) == (variant == "occ")
     for part in output.by_target.values():
         assert part.shape == (2, *SHAPE)
     assert output.tudf is None or (output.tudf >= 0).all()
 
 
-@pytest.mark.parametrize(
-    ("variant", "task", "branch"),
-    [
-        ("proposed", "tudf", "occupancy"),
-        ("proposed", "logits", "tudf"),
-        ("columns", "tudf", "shared"),
-        ("columns", "logits", "shared"),
-    ],
-)
+@each_case("../model/branches", "variant task branch")
 def test_predictions_depend_on_other_branches(variant, task, branch):
     net = network(variant=variant)
     getattr(net(seen(1)), task).sum().backward()

@@ -14,9 +14,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import scenegen
-from scenegen.base.errors import ScenegenError
 from scenegen.model.bench.methods import Predicted
-from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.stored import prediction_facts
@@ -24,9 +22,11 @@ from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.inputs import turned
 from scenegen.model.targets import target_called
 from scenegen.worlds.labels import labels_by
-from tests.command_line import ROOT, done, example, page, refused, rows
+from tests.command_line import ROOT, done, example, page
 from tests.conftest import dataset_in, small_recipe
 from tests.model.training.runs import figures, maps_of, train
+from tests.refusals import refuses, refuses_command
+from tests.scenegen import each_case
 
 COUNTS = {"train": 8, "val": 4, "test": 4}
 PREDICTED = "bench data/street --method empty --predictions predictions --metric my_labels:Classes"
@@ -52,6 +52,13 @@ def here(once, standing):
 def config_of(**more):
     target = {"targets": ("my_labels:Classes",), "width": 4, "batch": 4, "epochs": 2}
     return TrainConfig.of({**target, "precision": "float32", **more})
+
+
+@pytest.fixture
+def trained(here):
+    """The same, with a short run."""
+    train(["data/street"], config_of(epochs=1), here / "run")
+    return here
 
 
 def test_the_page_trains_completes_and_reads_back(here, capsys):
@@ -94,21 +101,19 @@ def test_metrics_of_classes_need_their_truth(here, folders, capsys):
     done(capsys, f"{words} --method empty")
     assert "classes_miou" not in Path("bench/report.json").read_text()
     assert "metrics of classes are left out" in Path("bench/report.md").read_text()
-    assert "has no truth" in refused(capsys, f"{words} --metric my_labels:Classes")
+    refuses_command(capsys, f"{words} --metric my_labels:Classes")
 
 
-def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_a_fault_of_the_truth_is_not_taken_for_a_missing_one(trained, capsys):
     with Path("my_labels.py").open("a") as file:
         file.write("    def truth(self, sample, grid):\n        return sample.voxel_class / None\n")
     target_called.cache_clear()
     sys.modules.pop("my_labels", None)
     words = "bench data/street --quick --quiet --workers 1 --weights my_labels:Classes@run"
-    assert re.search(r"my_labels.py: TypeError", refused(capsys, words))
+    refuses_command(capsys, words)
 
 
-def test_a_scan_is_stored_with_its_classes(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_a_scan_is_stored_with_its_classes(trained, capsys):
     completer = Completer.from_pretrained("my_labels:Classes@run")
     sample = scenegen.load("data/street", "test")[0]
     points = sample.points()
@@ -142,24 +147,21 @@ def test_a_run_goes_on_where_it_was(here):
     assert train(["data/street"], config_of(), here / "run") == rows
 
 
-def test_files_that_name_other_arrays_are_refused(here):
-    train(["data/street"], config_of(epochs=1), here / "run")
+def test_files_that_name_other_arrays_are_refused(trained):
     dataset = scenegen.load("data/street", "test").dataset
-    predict_split(Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", here / "p")
-    Predicted(here / "p").check(dataset, "test")
+    predict_split(
+        Completer.from_pretrained("my_labels:Classes@run"), dataset, "test", trained / "p"
+    )
+    Predicted(trained / "p").check(dataset, "test")
     for others in ("world", "classes,classes", "a b", "absent", "tudf", "x/y"):
-        with h5py.File(here / "p" / "test-00000.h5", "a") as file:
+        with h5py.File(trained / "p" / "test-00000.h5", "a") as file:
             file.attrs["others"] = others
             file.attrs.pop("digest", None)
-        with pytest.raises(ScenegenError, match=r"names targets|expected .*absent"):
-            Predicted(here / "p").check(dataset, "test")
+        refuses(others, Predicted(trained / "p").check, dataset, "test")
 
 
-def test_a_file_has_no_target_imported_by_itself(here, capsys):
-    train(["data/street"], config_of(epochs=1), here / "run")
-    with pytest.raises(CheckpointError, match="my_labels:Classes"):
-        Completer.from_pretrained("run")
-    assert "my_labels:Classes@" in refused(capsys, "complete data/street --weights run")
+def test_a_file_has_no_target_imported_by_itself(trained, capsys):
+    refuses_command(capsys, "complete data/street --weights run")
 
 
 WRONG = """
@@ -186,28 +188,12 @@ class Normal(Mean):
 class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
 class Wordy(Mean): metrics = {"one": lambda scored: "high"}
 """
-SAID = """
-Plain       → expected a subclass of
-Gone        → has no Gone
-Short       → gives an array of int64 of shape
-Missing     → finds no number of channels
-Shapeless   → shapeless is an array of shape
-Iou         → iou is .*no metric has
-Unweighted  → unweighted is 3.0
-Best        → metric iou of the target best: there is a metric called best_iou; rename
-Near        → metric rmse of the target near: there is a metric called near_rmse; rename
-Normal      → Normal: needs return_normal, which only datasets made with --normals have
-Failing     → of wrong.py: KeyError: 'absent'
-Wordy       → metric wordy one: gave no number
-Numeric     → metric one of the target numeric: expected a .*Metric of maps, a function
-"""
 
 
-@pytest.mark.parametrize(("name", "said"), rows(SAID))
-def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name, said):
+@each_case("../model/targets", "name")
+def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name):
     (here / "wrong.py").write_text(WRONG)
-    with pytest.raises(ScenegenError, match=said):
-        train(["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
+    refuses(name, train, ["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
     assert not (here / "run").exists()
 
 
@@ -226,26 +212,12 @@ def test_a_metric_of_a_target_may_be_a_function(here):
 
 
 def test_a_dataset_without_labels_is_refused(here, folders):
-    with pytest.raises(ScenegenError, match="--labels"):
-        train([folders[0]], config_of(), here / "run")
+    refuses("no labels", train, [folders[0]], config_of(), here / "run")
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
-        ({"targets": ("occupancy",)}, "occupancy is a task of the variant proposed"),
-        ({"targets": ("a:Known",)}, "known is an array or a term"),
-        ({"targets": ("a:Occupancy",), "variant": "tudf"}, "occupancy is an array or a term"),
-        ({"targets": ("a:Free",), "inputs": ("observed", "free")}, "free is an input"),
-        ({"targets": ("a:Gradient",)}, "gradient is a figure of every run"),
-        ({"targets": ("a:Classes", "b:Classes")}, "classes is another target"),
-        ({"targets": ("a:Classes",), "channels": (0,)}, "channels"),
-        ({"targets": ("classes",)}, "unknown target"),
-    ],
-)
-def test_names_of_other_maps_are_refused(settings, reason):
-    with pytest.raises(ValueError, match=reason):
-        NetworkConfig(**settings)
+@each_case("../model/target_settings", "settings")
+def test_names_of_other_maps_are_refused(settings):
+    refuses(settings, NetworkConfig, **json.loads(settings))
 
 
 OWN = """
@@ -276,10 +248,9 @@ def test_a_network_of_ones_own_predicts_it_and_is_exported(here, capsys):
     exported = Completer.from_pretrained("my_labels:Classes@net.onnx")
     classes = network(maps).others["classes"]
     assert (exported(maps).others["classes"] == classes).mean() > 0.99
-    with pytest.raises(CheckpointError, match="my_labels:Classes"):
-        Completer.from_pretrained("net.onnx")
-    with pytest.raises(ScenegenError, match=r"expected .*'classes'"):
-        train(["data/street"], config_of(variant="own:Silent"), here / "silent")
+    refuses("by itself", Completer.from_pretrained, "net.onnx")
+    silent = config_of(variant="own:Silent")
+    refuses("silent", train, ["data/street"], silent, here / "silent")
 
 
 def test_a_second_task_is_a_target_like_any(here):

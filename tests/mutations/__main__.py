@@ -4,7 +4,6 @@ import argparse
 import collections
 import os
 import pprint
-import shlex
 import sys
 import tempfile
 from pathlib import Path
@@ -35,20 +34,20 @@ def main():
     valid = make_valid(base / "valid")
     os.environ["HOME"] = str(base / "home")
     print(f"folder {base}, seed {options.seed}", flush=True)
-    families = collections.defaultdict(list)
+    wrong, families = 0, collections.defaultdict(list)
     for ended in campaign(names, valid, seed=options.seed, jobs=options.jobs, base=base):
-        families[ended.name.partition("/")[0]].append(ended)
+        families[ended.name.partition("/")[0]].append(ended.result)
+        wrong += bool(ended.wrong)
         if ended.wrong:
-            command = shlex.join(ended.words)[:300]
-            print(f"{ended.name} {ended.wrong}\n    {ended.damage}\n    {command}", flush=True)
+            print(ended.name, ended.wrong, ended.damage, *ended.words, sep="\n    ", flush=True)
         if len(names) == 1:
             pprint.pprint(ended)
-    for name, cases in families.items():
-        passed = sum(case.result.code == 0 for case in cases)
-        wrong = sum(bool(case.wrong) for case in cases)
-        slowest_s = max(case.result.seconds for case in cases)
-        print(f"{name}: {len(cases)} cases, {passed} results, {wrong} wrong, {slowest_s:.1f} s")
-    return int(any(case.wrong for cases in families.values() for case in cases))
+    for name, results in families.items():
+        passed = sum(result.code == 0 for result in results)
+        slowest_s = max(result.seconds for result in results)
+        print(f"{name}: {len(results)} cases, {passed} results, {slowest_s:.1f} s")
+    print(f"{wrong} wrong")
+    return int(wrong > 0)
 
 
 if __name__ == "__main__":

@@ -7,28 +7,11 @@ from pathlib import Path
 
 import click
 
-from tests.command_line import rows
+from tests.command_line import beside, rows
 from tests.mutations.case import Attempt, words
 from tests.mutations.nasty import number, text
 
-MADE = """
-generate   → --recipe recipe.toml --n 1 --val 0 --test 0 --workers 1 --quiet --out out
-inspect    → d --json
-world      → d 0 -o out.xml
-verify     → d --quick --workers 1 --quiet
-complete   → d --weights n.safetensors --device cpu --quiet -o out
-bench      → d --quick --workers 1 --quiet --method returns --out out
-sensors    → velodyne-vlp-16 --out out.png
-scan       → w.xml --pose 0,0,2,0 --lidar velodyne-vlp-16 -o out.ply
-take       → d --quiet --workers 1 -o out.json
-calibrate  → n.safetensors d --quiet -o out.safetensors
-view       → d --html out.html --quiet
-render     → d -o out.png
-convert    → d --to npz --quiet -o out
-recipe     → pillar -o out.toml
-completion → bash
-"""
-MADE = dict(rows(MADE))
+MADE = dict(rows(beside(__file__, "commands.txt")))
 """Commands as they work, but for those that take seconds; what a case changes comes after, and so
 holds."""
 KEPT = ("pipe", "loop")

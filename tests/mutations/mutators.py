@@ -5,12 +5,11 @@ import dataclasses
 import json
 import re
 import struct
-from pathlib import Path
 
 import h5py
 
 from scenegen.worlds.recipe import make_recipe
-from tests.command_line import rows
+from tests.command_line import beside, rows
 from tests.mutations import damage_hdf5
 from tests.mutations.case import VALID, words
 from tests.mutations.nasty import ESCAPES, REAL, nasty, number, spoil
@@ -31,7 +30,7 @@ USES = {
 """What uses an asset of these kinds."""
 DEEP = 20_000
 ADDED = [
-    *rows(Path(__file__).with_name("scenes.txt").read_text(encoding="utf-8")),
+    *rows(beside(__file__, "scenes.txt")),
     ("worldbody", '<replicate count="300">' * 3 + '<geom size="0.1"/>' + "</replicate>" * 3),
     ("worldbody", '<geom size="0.1"/>' * 60_000),
     ("worldbody", "<body>" * DEEP + '<geom size="0.1"/>' + "</body>" * DEEP),

@@ -1,14 +1,13 @@
 """Values that nobody expects."""
 
-ESCAPES = (
-    "\x1b]0;owned\x07\x1b[2J\rscenegen: all is well\nverify: all 17 checks passed\u202e\x00\x9b31m"
-)
-WHOLE = (0, -1, 1, 2, 3, 255, 2**31, 2**53 + 1, 2**63, 2**64, -(2**63) - 1, 10**9, 10**30, 10**400)
-REAL = "0 -0 1.5 -1 1e-300 1e-7 5e-324 1e9 1e38 1e300 -1e300 inf -inf nan"
-REAL = tuple(map(float, REAL.split()))
-TEXT = ["", " ", "x" * 5000, ESCAPES, "\ud800", "🎈" * 50]
-TEXT += ["a", "../../x", "/", ".", "..", "nan", "%s%n{0}", "-1", "null"]
-OTHER = None, True, [], {}, [[]], {"": 0}, {ESCAPES: 1}, [0] * 1000, [1, "a", None]
+import json
+
+from tests.command_line import beside
+
+WHOLE, REAL, TEXT, OTHER = json.loads(beside(__file__, "nasty.json")).values()
+ESCAPES = TEXT[2]
+TEXT.append("x" * 5000)
+OTHER.append([0] * 1000)
 
 
 def nasty(random):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import GridSpec
-from tests.command_line import code_of
+from tests.command_line import beside, code_of
 from tests.conftest import SMALL
 from tests.mutations import datasets
 from tests.mutations.case import words
@@ -27,34 +27,7 @@ RECIPE = {
     "flight": SMALL["flight"] | {"viewpoints": 2},
     "grid": {"shape": [EDGE] * 3},
 }
-SCENE_RECIPE = {
-    "kind": "scene",
-    "flight": {"viewpoints": 1, "min_distance_m": 1.0},
-    "accept": {"min_solids": 0.0, "min_occupied_share": 0.0, "min_returned_share": 0.0},
-    "lidar": RECIPE["lidar"],
-    "grid": RECIPE["grid"],
-}
-SCENE = """<mujoco model="small">
-<compiler angle="degree"/>
-<custom><numeric name="flight_bounds" data="-3 -3 0.5 3 3 2.5"/></custom>
-<asset>
-<mesh name="rock" vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="1 1 1"/>
-<hfield name="hill" nrow="3" ncol="3" size="1 1 0.5 0.1" elevation="0 0 0 0 1 0 0 0 0"/>
-<texture name="paint" type="2d" builtin="flat" width="8" height="8" rgb1="1 0 0"/>
-<material name="red" texture="paint"/>
-</asset>
-<worldbody>
-<geom name="floor" type="plane" size="4 4 0.1" material="red"/>
-<geom name="box" type="box" size="0.3 0.4 0.5" pos="2 0 0.5" euler="0 0 30"/>
-<geom name="ball" type="sphere" size="0.5" pos="-2 0 1"/>
-<geom name="rod" type="capsule" fromto="0 2 0 0 2 2" size="0.1"/>
-<geom name="stone" type="mesh" mesh="rock" pos="0 -2 0"/>
-<geom name="ground" type="hfield" hfield="hill" pos="2 2 0"/>
-<body name="cart" pos="-2 2 0.5" quat="1 0 0 0">
-<geom name="lid" type="ellipsoid" size="0.3 0.2 0.1"/></body>
-</worldbody>
-</mujoco>
-"""
+SCENE = beside(__file__, "scene.xml")
 GENERATE = (
     "generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2 "
     "--workers 1 --quiet --out"
@@ -88,7 +61,7 @@ def make_valid(folder):
     """Make them in `folder`, an empty one, which becomes the current folder."""
     os.chdir(folder)
     (folder / "recipe.toml").write_text(to_toml(RECIPE))
-    (folder / "scene.toml").write_text(to_toml(SCENE_RECIPE))
+    (folder / "scene.toml").write_text(beside(__file__, "scene.toml"))
     run(f"{GENERATE} d")
     run(f"{GENERATE} c --compact")
     (folder / "scene.xml").write_text(SCENE)

@@ -5,15 +5,20 @@ from pathlib import Path
 import pytest
 
 from scenegen.base.errors import ScenegenError
-from tests.command_line import rows
+from tests.command_line import beside, rows
 
 
 def cases(name):
-    """Rows of a room's `refusals.txt` under a heading: `room/heading`, or a heading alone; the last
-    column is, as a rule, a part of the line that is told."""
+    """Rows of a room's `refusals.txt`, refused or not: `room/heading`, or a heading alone."""
     room, _, heading = name.rpartition("/")
-    text = (Path(__file__).parent / room / "refusals.txt").read_text(encoding="utf-8")
-    return rows(text.partition(f"\n== {heading}\n")[2].partition("\n==")[0])
+    text = beside(__file__, Path(room, "refusals.txt"))
+    return rows(text.split(f"\n== {heading}\n")[1].partition("\n==")[0])
+
+
+def each_case(name, columns, read=str):
+    """Runs a test for each row of `cases(name)`; its columns, read in some way, are arguments."""
+    values = [[read(text) for text in row] for row in cases(name)]
+    return pytest.mark.parametrize(columns.split(), values)
 
 
 def refuses(told, action, *given, **more):

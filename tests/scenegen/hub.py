@@ -64,6 +64,10 @@ class Hub:
         self._server.server_close()
 
 
+class Refused(Exception):  # noqa: N818
+    """A status, a message, and the Hub's code for it, if there is one."""
+
+
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
@@ -80,24 +84,28 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(sent)
 
-    def _refuse(self, status, message, code=""):
-        headers = {"X_Error_Code": code, "X_Error_Message": message} if code else {}
-        self._answer({"error": message}, status, **headers)
-
     def _handle(self):
-        hub, path = self.server.hub, unquote(urlsplit(self.path).path)
+        try:
+            self._route(unquote(urlsplit(self.path).path))
+        except Refused as refused:
+            status, message, *code = refused.args
+            headers = {"X_Error_Code": code[0], "X_Error_Message": message} if code else {}
+            self._answer({"error": message}, status, **headers)
+
+    def _route(self, path):
+        hub = self.server.hub
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         hub.log.append(f"{self.command} {path}")
         token = (self.headers.get("Authorization") or "").removeprefix("Bearer ")
         if token:
             hub.tokens.add(token)
         if self.command in ("POST", "PUT") and not path.startswith("/lfs/") and token != TOKEN:
-            return self._refuse(401, "Invalid username or password.")
+            raise Refused(401, "Invalid username or password.")
         for method, pattern, handler in ROUTES:
             match = re.fullmatch(pattern, path)
             if match and self.command in method:
                 return handler(self, hub, body, *match.groups())
-        return self._refuse(404, f"no such page: {path}")
+        raise Refused(404, f"no such page: {path}")
 
     do_GET = do_POST = do_PUT = do_HEAD = _handle  # noqa: N815
 
@@ -113,13 +121,12 @@ def create(page, hub, body):
     page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if is_there else 200)
 
 
-def _known(page, hub, name, revision="main"):
+def _known(hub, name, revision="main"):
     if name not in hub.repositories:
-        page._refuse(404, "Repository not found", "RepoNotFound")
-        return None
+        raise Refused(404, "Repository not found", "RepoNotFound")
     files = hub.repositories[name].files(revision)
     if files is None:
-        page._refuse(404, f"Invalid rev id: {revision}", "RevisionNotFound")
+        raise Refused(404, f"Invalid rev id: {revision}", "RevisionNotFound")
     return files
 
 
@@ -133,9 +140,7 @@ def _entry(path, content):
 
 
 def info(page, hub, body, name, revision=None):
-    files = _known(page, hub, name, revision or "main")
-    if files is None:
-        return
+    files = _known(hub, name, revision or "main")
     repository = hub.repositories[name]
     facts = {"id": name, "sha": repository.sha(revision), "private": repository.private}
     siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
@@ -143,26 +148,23 @@ def info(page, hub, body, name, revision=None):
 
 
 def tree(page, hub, body, name, revision):
-    files = _known(page, hub, name, revision)
-    if files is not None:
-        page._answer([_entry(path, content) for path, content in files.items()])
+    files = _known(hub, name, revision)
+    page._answer([_entry(path, content) for path, content in files.items()])
 
 
 def refs(page, hub, body, name):
-    if _known(page, hub, name) is not None:
-        repository = hub.repositories[name]
-        tags = [
-            {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
-            for tag, sha in repository.tags.items()
-        ]
-        main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repository.head}
-        page._answer({"branches": [main], "converts": [], "tags": tags})
+    _known(hub, name)
+    repository = hub.repositories[name]
+    tags = [
+        {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
+        for tag, sha in repository.tags.items()
+    ]
+    main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repository.head}
+    page._answer({"branches": [main], "converts": [], "tags": tags})
 
 
 def preupload(page, hub, body, name, revision):
-    files_there = _known(page, hub, name, revision)
-    if files_there is None:
-        return
+    files_there = _known(hub, name, revision)
     answers = []
     for path in [file["path"] for file in json.loads(body)["files"]]:
         entry = _entry(path, files_there[path]) if path in files_there else {}
@@ -182,7 +184,7 @@ def batch(page, hub, body, name):
 
 def put(page, hub, body, oid):
     if hub.refuse_after is not None and len(hub.puts) >= hub.refuse_after:
-        return page._refuse(400, "the connection broke")
+        raise Refused(400, "the connection broke")
     assert hashlib.sha256(body).hexdigest() == oid
     hub.blobs[oid] = body
     hub.puts.append(oid)
@@ -190,11 +192,11 @@ def put(page, hub, body, oid):
 
 
 def commit(page, hub, body, name, revision):
-    files = dict(_known(page, hub, name, revision))
+    files = dict(_known(hub, name, revision))
     for line in body.splitlines():
         key, value = json.loads(line).values()
         if key == "header" and value["parentCommit"] != hub.repositories[name].head:
-            return page._refuse(412, "a commit has happened since")
+            raise Refused(412, "a commit has happened since")
         if key == "file":
             files[value["path"]] = base64.b64decode(value["content"])
         elif key == "lfsFile":
@@ -212,17 +214,15 @@ def tag(page, hub, body, name, revision):
     repository = hub.repositories[name]
     name_of_tag = json.loads(body)["tag"]
     if name_of_tag in repository.tags:
-        return page._refuse(409, "tag is there")
+        raise Refused(409, "tag is there")
     repository.tags[name_of_tag] = repository.sha(revision)
     page._answer({})
 
 
 def resolve(page, hub, body, name, revision, path):
-    files = _known(page, hub, name, revision)
-    if files is None:
-        return
+    files = _known(hub, name, revision)
     if path not in files:
-        return page._refuse(404, "Entry not found", "EntryNotFound")
+        raise Refused(404, "Entry not found", "EntryNotFound")
     entry = _entry(path, files[path])
     etag = entry.get("lfs", entry)["oid"]
     sha, size = hub.repositories[name].sha(revision), str(len(files[path]))

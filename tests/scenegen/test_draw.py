@@ -5,12 +5,11 @@ import json
 from collections import Counter
 
 import numpy as np
-import pytest
 from scipy.spatial.distance import pdist
 
 from tests.conftest import picky_recipe, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import drawn_unit, same
 
 
@@ -54,7 +53,7 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     assert rejected["few_occupied"] + rejected["few_returns"] > 0
 
 
-@pytest.mark.parametrize("tables", [tables for (tables,) in cases("draw")])
+@each_case("draw", "tables")
 def test_impossible_parameters_end_and_are_named(tables):
     recipe = small_recipe(**json.loads(tables))
     accept = dataclasses.replace(recipe.accept, max_draws=4)

@@ -88,15 +88,10 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
     assert not (tmp_path / "a").exists()
 
 
-def left_behind(folder):
-    """The path of a draft of a process that has ended."""
-    with multiprocessing.get_context("fork").Pool(1) as pool:
-        return pool.apply(draft_of, [folder / "a"])
-
-
 def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path):
     """Among the rest are drafts as they were called once, of whatever age."""
-    gone, gone_folder, link = (left_behind(tmp_path) for _ in range(3))
+    with multiprocessing.get_context("fork").Pool(1) as pool:  # a process that has ended by then
+        gone, gone_folder, link = pool.map(draft_of, [tmp_path / "a"] * 3)
     gone.write_bytes(b"half")
     gone_folder.mkdir()
     (gone_folder / "within").write_bytes(b"half")

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from lidarsim.pose import rotate
 from scenegen.worlds.poses import read_poses
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import cases, each_case
 
 BEGIN_S = 1_700_000_000
 
@@ -84,7 +84,7 @@ def test_an_order_that_would_tilt_a_level_sensor_is_asked_for(tmp_path):
     assert len(read_poses(tmp_path / "poses").poses) == 5
 
 
-@pytest.mark.parametrize("content", [content for (content,) in cases("poses_refused")])
+@each_case("poses_refused", "content")
 def test_what_can_be_read_in_two_ways_is_refused(tmp_path, content):
     (tmp_path / "poses").write_text(content.replace("; ", "\n"))
     refuses(content, read_poses, tmp_path / "poses")

@@ -14,16 +14,13 @@ from scenegen import SPLITS
 from scenegen.dataset.build import plan_dataset
 from scenegen.draw.source import read_scenes
 from scenegen.worlds.world import write_world
+from tests.command_line import beside
 from tests.conftest import THREE, scene_recipe
 from tests.refusals import refuses
 from tests.scenegen.conftest import built
 
 COUNTS = {"train": 9, "val": 3, "test": 3}
-ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom><worldbody>
-<geom type="plane" size="1 1 1"/><geom name="post{n}" type="cylinder" size="0.3 2" pos="{n} 6 2"/>
-<geom type="box" size="0.5 0.5 0.5" pos="9 {n} 0.5"/><geom type="box" size="0.1 2 2" pos="3 9 2"/>
-</worldbody>
-    </mujoco>"""
+ROOM = beside(__file__, "worlds/mjcf/room.xml")
 
 
 @pytest.fixture
@@ -84,20 +81,12 @@ def test_too_few_worlds_for_the_splits_are_refused(folder):
     assert [len(source.scenes[split]) for split in SPLITS] == [1, 0, 0]
 
 
-INCLUDED = """<mujoco><worldbody><geom name="included" type="sphere" size="1" pos="2 6 2"/>
-</worldbody></mujoco>"""
-WORLD = """<mujoco><compiler meshdir="parts"/><asset><mesh name="ring" file="ring.stl"/></asset>
-<custom><numeric name="flight_bounds" data="0 0 1 12 12 4"/></custom>
-<include file="parts/more.xml"/><worldbody><geom type="plane" size="1 1 1"/>
-<geom type="mesh" mesh="ring" pos="9 6 2" euler="40 0 0"/></worldbody></mujoco>"""
-
-
 def test_assets_and_includes_travel_with_the_world(tmp_path):
     """What is archived alone gives the meshes that the files gave."""
     (tmp_path / "parts").mkdir()
     trimesh.creation.torus(1.0, 0.3).export(tmp_path / "parts" / "ring.stl")
-    (tmp_path / "parts" / "more.xml").write_text(INCLUDED)
-    (tmp_path / "world.xml").write_text(WORLD)
+    for name, path in (("included", "parts/more.xml"), ("including", "world.xml")):
+        (tmp_path / path).write_text(beside(__file__, f"worlds/mjcf/{name}.xml"))
     direct = mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml"))
     _, dataset = make(tmp_path / "world.xml", tmp_path / "d", THREE)
     assets = dataset.world("train", 0)
@@ -111,12 +100,7 @@ def test_assets_and_includes_travel_with_the_world(tmp_path):
 
 def test_two_files_of_one_world_are_refused(folder):
     """Renamed and reordered, they could still come to lie in two splits."""
-    twin = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom>
-    <worldbody>
-    <geom type="box" size="0.1 2 2" pos="3 9 2"/><geom type="box" size="0.5 0.5 0.5" pos="9 3 0.5"/>
-    <geom name="mast" type="cylinder" size="0.3 2" pos="3 6 2"/><geom type="plane"
-    size="1 1 1"/></worldbody></mujoco>"""
-    (folder / "twin.xml").write_text(twin)
+    (folder / "twin.xml").write_text(beside(__file__, "worlds/mjcf/twin.xml"))
     refuses("twin", read_scenes, folder, COUNTS, seed=0)
 
 

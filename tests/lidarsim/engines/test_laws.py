@@ -1,5 +1,7 @@
 """What every engine keeps: poses do not see each other, and two engines see the same world."""
 
+import json
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,13 +9,12 @@ from numpy.testing import assert_array_equal
 
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES
+from tests.command_line import beside
 from tests.lidarsim.reference import unit
 from tests.refusals import refuses
+from tests.scenegen import cases, each_case
 
-HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
- elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>"""
-MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
-<mesh name="n" vertex="-1 -1 0  1 -1 0  1 1 0  -1 1 0  0 0 1.5"/>"""
+ASSETS = beside(__file__, "assets.xml")
 SIZES = {
     "plane": "0 0 1",
     "sphere": "0.7",
@@ -29,7 +30,7 @@ def model_of(*geoms, inside="", assets=""):
     """A world of geoms, each given by its attributes, and of what else is `inside`."""
     body = inside + "".join(f"<geom {geom}/>" for geom in geoms)
     return mujoco.MjModel.from_xml_string(
-        f"<mujoco><asset>{HFIELD}{MESHES}{assets}</asset><worldbody>{body}</worldbody></mujoco>"
+        f"<mujoco><asset>{ASSETS}{assets}</asset><worldbody>{body}</worldbody></mujoco>"
     )
 
 
@@ -82,7 +83,8 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 3, 60)
     flat = engine.cast(origins, rays, 12.0)
-    assert (flat.shape, flat.dtype) == ((3, 60), np.float64)
+    assert flat.shape == (3, 60)
+    assert flat.dtype == np.float64
     for p in range(3):
         assert_array_equal(engine.cast(origins[p : p + 1], rays[p : p + 1], 12.0)[0], flat[p])
     shaped = engine.cast(origins, rays.reshape(3, 3, 4, 5, 3), 12.0)
@@ -110,15 +112,7 @@ def test_ranges_that_are_none_are_refused(value):
     refuses("shape", cast, Odd(np.ones((16, 120))), Lidar(), Pose.level((0, 0, 0)))
 
 
-BAD_RAYS = [
-    [0, 0, 0],
-    [np.nan, 0, 1],
-    [np.inf, 0, 0],
-    [-np.inf, np.nan, 0],
-    [2, 0, 0],
-    [1e-200, 0, 0],
-    [1e200, 0, 0],
-]
+BAD_RAYS = np.loadtxt(sum(cases("../lidarsim/bad_rays"), ()))
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -135,10 +129,7 @@ def test_bad_rays_meet_nothing_and_harm_no_other(name):
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-@pytest.mark.parametrize(
-    ("origins", "rays", "reach"),
-    [((1, 3), (2, 3), 9), ((3,), (1, 3), 9), ((1, 2), (1, 3), 9), ((1, 3), (1, 3), np.nan)],
-)
+@each_case("../lidarsim/ray_shapes", "origins rays reach", json.loads)
 def test_rays_of_other_shapes_are_refused(name, origins, rays, reach):
     """A kernel would read beyond them, or leave ranges as the memory was."""
     case = f"{name} {origins} {rays} {reach}"

@@ -19,6 +19,7 @@ from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import PROCESSORS, made, model_of, numbers
 from tests.lidarsim.reference import unit
 from tests.refusals import refuses
+from tests.scenegen import cases
 
 GHOST = 'contype="0" conaffinity="0"'
 """A geom that is seen but takes no part in collisions, as visual geoms do."""
@@ -67,14 +68,8 @@ def test_geoms_beyond_their_bodys_colliding_extent_are_seen(owner, rng):
     assert np.isfinite(seen(model_of(inside=pair), unit(rays))).sum() > 80
 
 
-LOOKS = {
-    (1, 0, 0): ('rgba="0.5 0.5 0.5 0"', False),
-    (-1, 0, 0): ('material="clear"', False),
-    (0, 1, 0): ('rgba="0.5 0.5 0.5 0.01"', True),
-    (0, -1, 0): ('material="faint"', True),
-    (0, 0, 1): ('material="faint" rgba="0.5 0.5 0.5 0"', True),  # the material rules
-    (0, 0, -1): ('material="clear" rgba="0.5 0.5 0.5 1"', False),
-}
+PLACES, LOOKS, VERDICTS = zip(*cases("../lidarsim/looks"), strict=True)
+"""Where a wall stands, what it looks like, and whether it is seen; its material rules."""
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -83,13 +78,13 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(name, colliding):
     """Glass walls around the sensor, invisible in both ways, and a visible sphere behind each of
     them."""
     assets = '<material name="clear" rgba="1 0 0 0"/><material name="faint" rgba="1 0 0 0.01"/>'
-    sides, looks = np.array([*LOOKS], float), LOOKS.values()
+    sides = np.loadtxt(PLACES)
     walls = [
         f'size="0.5" pos="{numbers(2 * side)}" {look} {colliding}'
-        for side, (look, _) in zip(sides, looks, strict=True)
+        for side, look in zip(sides, LOOKS, strict=True)
     ]
     behind = [f'size="0.5" pos="{numbers(5 * side)}"' for side in sides]
     for geoms, beyond in ((walls + behind, 4.5), (walls, np.inf)):
         ranges = made(name, model_of(*geoms, assets=assets)).cast(CENTRE, sides[None], 10.0)[0]
-        expected = [1.5 if is_seen else beyond for _, is_seen in looks]
+        expected = [1.5 if verdict == "seen" else beyond for verdict in VERDICTS]
         assert_allclose(ranges, expected, rtol=0, atol=1e-9)

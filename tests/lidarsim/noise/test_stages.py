@@ -11,11 +11,12 @@ from scipy import stats
 
 from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
 from lidarsim.noise.chain import Noise
-from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Motion, Spurious
-from lidarsim.noise.ranges import Depth, Divergence, Near, Quantise, Range
+from lidarsim.noise.losses import Dropout, Grazing, Motion, Spurious
+from lidarsim.noise.ranges import Depth, Divergence, Near, Quantise
 from lidarsim.noise.returns import Intensity, albedo_of
 from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 RAYS = 20_000
 REACH_M = 50.0
@@ -56,18 +57,10 @@ def as_often(chosen, share):
     return stats.binomtest(int(chosen.sum()), chosen.size, share).pvalue > 0.01
 
 
-@pytest.mark.parametrize(
-    ("stage", "tilt_deg", "sigma_m"),
-    [
-        (Range(sigma_m=0.03), 0, 0.03),
-        (Range(sigma_m=0.0, share=0.01), 0, 0.08),
-        (Range(sigma_m=0.01, quadratic_per_m=0.002), 40, 0.01 + 0.002 * 64),
-        (Depth(quadratic_per_m=0.005), 0, 0.005 * 64),
-        (Depth(quadratic_per_m=0.005), 40, 0.005 * 64 * math.cos(math.radians(40))),
-    ],
-)
+@each_case("../lidarsim/normal", "stage tilt_deg sigma_m")
 def test_noise_is_normal(stage, tilt_deg, sigma_m):
     """That of a depth grows with its square, and not with that of the range."""
+    (stage,), tilt_deg, sigma_m = Noise.parse(stage).stages, int(tilt_deg), float(sigma_m)
     moved = applied(stage, np.full(RAYS, 8.0), tilt_deg) - 8.0
     assert moved.std() == pytest.approx(sigma_m, rel=0.02)
     assert is_normal(moved / sigma_m)
@@ -85,26 +78,11 @@ def test_steps_and_the_least_range_are_exact():
     assert near.tolist() == [np.inf, np.inf, 0.5, 7.0]
 
 
-@pytest.mark.parametrize(
-    ("stage", "surface", "share"),
-    [
-        (Dropout(share=0.05), wall(0), 0.05),
-        (Far(share=0.8), wall(0, at_m=25), 0.2),
-        (Far(power=1), wall(0, at_m=25), 0.25),
-        (Far(power=0), wall(0, at_m=25), 0.5),
-        (Far(power=0.5), wall(0, at_m=12.5), 0.25),
-        (Far(share=1, power=2.7), wall(0, at_m=40), 0.8**2.7),
-        *((Grazing(from_deg=70), wall(turn), share) for turn, share in ((60, 0), (80, 0.5))),
-        (Grazing(from_deg=70), wall(85), 0.75),
-        # 10 % reflectivity head on is found up to 5.5 m, so 0.4 up to 11 m, and at 60° up to 7.8 m
-        (Faint(range_m=5.5, softness=0), wall(0), 0),
-        (Faint(range_m=5.5, softness=0), wall(60), 1),
-        (Faint(range_m=5.5, softness=0), wall(0, grey=0.1), 1),
-        (Faint(range_m=4.5, softness=0.1), wall(0), float(stats.norm.cdf(10 / 0.9 - 10))),
-    ],
-)
-def test_returns_are_lost_with_the_stated_probability(stage, surface, share):
-    ranges = seen(stage, surface).ranges[0]
+@each_case("../lidarsim/lost", "stage turn_deg grey at_m share")
+def test_returns_are_lost_with_the_stated_probability(stage, turn_deg, grey, at_m, share):
+    """10 % reflectivity head on is found up to 5.5 m, so 0.4 up to 11 m, and at 60° up to 7.8 m."""
+    (stage,), share = Noise.parse(stage).stages, float(share)
+    ranges = seen(stage, wall(float(turn_deg), float(grey), float(at_m))).ranges[0]
     lost = np.isinf(ranges)
     assert as_often(lost, share)
     assert len(np.unique(ranges[~lost])) <= 1
@@ -177,9 +155,6 @@ def test_the_strongest_echo_is_the_one_of_most_light():
 
 
 ROOM = [f'type="box" size="{size} 5" pos="{place} 0"' for size, place in WALLS]
-
-
-ROOM += [f'type="box" size="20 1 5" pos="0 {side} 0"' for side in (11, -11)]
 
 
 @pytest.mark.parametrize("turned", [0.0, 200.0])

@@ -5,7 +5,6 @@ import dataclasses
 import json
 import math
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,13 +15,13 @@ from lidarsim import BeamTable, MujocoEngine, Pose, attach, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
-from tests.command_line import rows
+from tests.command_line import beside, rows
 from tests.lidarsim.engines.test_laws import model_of
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 named = cache(SENSORS.find)
-DOCUMENTS = rows(Path(__file__).with_name("documents.txt").read_text(encoding="utf-8"))
+DOCUMENTS = rows(beside(__file__, "documents.txt"))
 """Of each document: beams, lowest and highest beam in degrees, degrees from column to column at
 10 Hz, points a second, range in metres."""
 SPINNING = {name: list(map(float, figures)) for name, *figures in DOCUMENTS}
@@ -57,7 +56,8 @@ def test_a_sensor_has_unit_rays_rising_times_and_a_source(name):
     assert sensor.name == name
     assert min(len(sensor.source), len(sensor.checked), len(sensor.error)) > 20
     table = BeamTable.of(sensor)
-    assert (table.shape, table.made_by) == (sensor.shape, name)
+    assert table.shape == sensor.shape
+    assert table.made_by == name
     assert sensor.times_s.min() >= 0
     assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
     assert 0 <= sensor.min_range_m < sensor.max_range_m
@@ -71,7 +71,8 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     beams, low, high, step_deg, points_hz, range_m = SPINNING[name]
     sensor = named(name)
     elevation, azimuth = angles_deg(sensor)
-    assert (sensor.shape[0], sensor.max_range_m) == (beams, range_m)
+    assert sensor.shape[0] == beams
+    assert sensor.max_range_m == range_m
     assert (elevation.min(), elevation.max()) == pytest.approx((low, high), abs=0.01)
     assert np.ptp(elevation, axis=1).max() < 1e-9  # a beam keeps its elevation
     assert len(np.unique(elevation[:, 0].round(6))) == beams
@@ -82,7 +83,7 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     assert sensor.times_s.max() < 1 / sensor.rate_hz
 
 
-@pytest.mark.parametrize(("name", "row", "elevation", "azimuth"), cases("../lidarsim/staggered"))
+@each_case("../lidarsim/staggered", "name row elevation azimuth")
 def test_staggered_beams_point_where_drivers_place_them(name, row, elevation, azimuth):
     """Ouster's own formula, and Hesai's: column c at 2π c / columns, azimuths clockwise, begun at
     the rear."""
@@ -90,17 +91,12 @@ def test_staggered_beams_point_where_drivers_place_them(name, row, elevation, az
     columns = sensor.shape[1]
     turned = 360 / columns * np.arange(columns) + 360 * 10 * sensor.times_s[row, 0]
     around, up = np.radians(180 - turned - float(azimuth)), math.radians(float(elevation))
-    level = math.cos(up)
-    x, y, z = sensor.directions_body[row].T
-    assert_allclose(x, level * np.cos(around), atol=2e-5)
-    assert_allclose(y, level * np.sin(around), atol=2e-5)
-    assert_allclose(z, math.sin(up), atol=2e-5)
+    x, y = math.cos(up) * np.cos(around), math.cos(up) * np.sin(around)
+    expected = np.stack(np.broadcast_arrays(x, y, math.sin(up)), axis=1)
+    assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "firing", "begin_us", "gap_us"),
-    [("velodyne-vlp-16", [-15, 1, -13, 3], 0, 2.304), ("hesai-xt-32", [15, 14, 13], 0.368, 1.512)],
-)
+@each_case("../lidarsim/firing", "name firing begin_us gap_us", json.loads)
 def test_beams_fire_in_the_documented_order(name, firing, begin_us, gap_us):
     """While the head turns."""
     sensor = named(name)
@@ -114,16 +110,13 @@ def test_beams_fire_in_the_documented_order(name, firing, begin_us, gap_us):
     assert_allclose(np.diff(turned), -2 * math.pi * 10 * gap_us * 1e-6, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "points_hz", "up", "wide"),
-    [("livox-mid-360", 2e5, (-7, 52), 180), ("livox-avia", 2.4e5, (-38.6, 38.6), 35.2)],
-)
+@each_case("../lidarsim/patterns", "name points_hz up wide", json.loads)
 def test_a_pattern_fills_its_view_without_repeating(name, points_hz, up, wide):
     sensor = named(name)
     elevation, azimuth = angles_deg(sensor)
     assert sensor.shape == (points_hz / 10,)
     assert sensor.times_s[-1] == pytest.approx(0.1, rel=1e-3)
-    assert (elevation.min(), elevation.max()) == pytest.approx(up, abs=0.5)
+    assert (elevation.min(), elevation.max()) == pytest.approx(tuple(up), abs=0.5)
     assert up[0] - 1e-9 <= elevation.min() <= elevation.max() <= up[1] + 1e-9
     assert wide - 0.5 < np.abs(azimuth).max() <= wide + 1e-9
 
@@ -162,6 +155,6 @@ def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
         assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
 
-@pytest.mark.parametrize(("family", "values"), cases("../lidarsim/sensors"))
+@each_case("../lidarsim/sensors", "family values")
 def test_an_impossible_sensor_is_refused(family, values):
     refuses(f"{family} {values}", named(family), **json.loads(values))

@@ -1,5 +1,7 @@
 """Laws of the lidar's ray layout, of poses and of the grid's placement, against scipy rotations."""
 
+import json
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,13 +10,11 @@ from lidarsim import Lidar, Pose
 from lidarsim.pose import rotate
 from tests.lidarsim import reference
 from tests.refusals import refuses
+from tests.scenegen import cases, each_case
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
-@pytest.mark.parametrize(
-    ("rows", "columns", "vertical", "pitch"),
-    [(16, 120, 60.0, 30.0), (2, 1, 10.0, 0.0), (32, 9, 90.0, -20.0), (3, 90, 0.5, 90.0)],
-)
+@each_case("../lidarsim/layouts", "rows columns vertical pitch", json.loads)
 def test_every_ray_follows_the_layout(rows, columns, vertical, pitch, mount, rng):
     """At any attitude, against `reference.lidar_directions`: products of scipy rotations, restated
     from the specification. A single column looks straight ahead."""
@@ -35,8 +35,8 @@ def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
 
 def test_poses_are_turned_by_the_angle_they_face(rng):
     place = (1.0, -2.0, 3.5)
-    plain = [(1, 0), (0, 1), (-1, 0), (-1, -1e-300), (-1, 1e-9), (1e-9, -1), (-6e80, -8e80)]
-    for x, y in [*plain, *rng.normal(size=(100, 2)).tolist()]:
+    plain = np.loadtxt(sum(cases("../lidarsim/headings"), ()))
+    for x, y in [*plain, *rng.normal(size=(100, 2))]:
         angle = np.arctan2(y, x)
         turn = reference.Rotation.from_euler("z", angle).as_matrix()
         for pose in (Pose.facing(place, (x, y)), Pose.level(place, angle)):

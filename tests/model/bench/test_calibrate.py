@@ -7,12 +7,11 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from scenegen.base.errors import DatasetError
 from scenegen.model.bench import calibrate as module
 from scenegen.model.bench.calibrate import calibrate, count_logits, fit_temperature
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.calibration import KEY, Calibration
-from scenegen.model.checkpoint import CheckpointError, load_network
+from scenegen.model.checkpoint import load_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from tests.model.bench.test_bench import report_of
@@ -39,7 +38,8 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     del about[KEY]
     assert about == TRAINED
     torch.testing.assert_close(network.state_dict(), before, rtol=0, atol=0)
-    assert (calibration.worlds, calibration.class_weight) == (3, 5.0)
+    assert calibration.worlds == 3
+    assert calibration.class_weight == 5.0
     assert calibration.datasets == (str(dataset.manifest.digest),)
     # it depends neither on what was there nor on where it is done
     backwards = Backwards("", 1)
@@ -71,19 +71,18 @@ def test_stored_probabilities_are_judged(dataset, weights, tmp_path, undrawn):
 def test_untold_class_weights_are_refused(dataset, weights, tmp_path, weight):
     odd = tmp_path / "odd.safetensors"
     saved_network(odd, dataset.grid, {"settings": {"loss": {"occupied_weight": weight}}})
-    refuses(weight, calibrate, odd, [dataset], weights, error=CheckpointError)
+    refuses(weight, calibrate, odd, [dataset], weights)
 
 
 def test_what_cannot_be_calibrated_is_refused(dataset, weights, tmp_path, monkeypatch):
     odd, out = tmp_path / "odd.safetensors", tmp_path / "none.safetensors"
     saved_network(odd, dataset.grid, TRAINED, variant="tudf")
-    refuses("tudf", calibrate, odd, [dataset], out, error=CheckpointError)
+    refuses("tudf", calibrate, odd, [dataset], out)
     saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1, "temperature": 1.0}})
-    refuses("damaged", Completer.from_pretrained, odd, error=CheckpointError)
-    more = {"split": "test", "error": DatasetError}
-    refuses("twice", calibrate, weights, [dataset] * 2, out, **more)
+    refuses("damaged", Completer.from_pretrained, odd)
+    refuses("twice", calibrate, weights, [dataset] * 2, out, split="test")
     monkeypatch.setattr(module, "MIN_WORLDS", 20)
-    refuses("few", calibrate, weights, [dataset], out, **more)
+    refuses("few", calibrate, weights, [dataset], out, split="test")
     assert not out.exists()
 
 

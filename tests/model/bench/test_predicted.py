@@ -6,7 +6,6 @@ import h5py
 import numpy as np
 import pytest
 
-from scenegen.base.errors import DatasetError
 from scenegen.model.bench.methods import Predicted, tune
 from scenegen.model.config import Thresholds
 from tests.model.bench.test_bench import report_of, write_predictions
@@ -68,13 +67,12 @@ def test_impossible_predictions_are_refused(dataset, tmp_path, change):
     path = write_predictions(tmp_path / "p.h5", dataset)
     with h5py.File(path, "a") as file:
         CHANGES[change](file)
-    refuses(change, lambda: Predicted(path).check(dataset, "test"), error=DatasetError)
+    refuses(change, lambda: Predicted(path).check(dataset, "test"))
 
 
 def test_nothing_is_measured_of_other_samples(dataset, tmp_path):
     path = write_predictions(tmp_path / "p.h5", dataset, drop=2)
-    more = {"error": DatasetError}
-    refuses("two", report_of, dataset, tmp_path / "bench", "--predictions", path, **more)
+    refuses("two", report_of, dataset, tmp_path / "bench", "--predictions", path)
     assert not (tmp_path / "bench").exists()
 
 

@@ -1,5 +1,6 @@
 """Metrics against hand-computed small maps and scipy, and their edge cases."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +26,7 @@ from scenegen.model.config import Thresholds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 GRID = GridSpec(shape=(7, 6, 5))
 SUMMED = {name: metric for name, metric in METRICS.items() if metric.needs != "map"}
@@ -117,17 +119,9 @@ def test_classes_mean_what_they_say(kind, rng):
         assert masks["occluded"].any()
 
 
-@pytest.mark.parametrize(
-    ("world", "below"),
-    [
-        ({"ground": True, "ground_m": 0.5}, 2),  # the third layer ends 0.4 m below 0
-        ({"ground": True, "ground_m": 0.4}, 3),
-        ({"ground": False, "ground_m": 0.5}, 0),
-        ({"ground": "grass", "ground_m": 0.5}, 0),  # somebody's own kind
-        (None, 0),
-    ],
-)
+@each_case("../model/grounds", "world below", json.loads)
 def test_layers_below_the_ground_are_unscored(world, below):
+    """The third layer ends 0.4 m below 0. Grass is somebody's own kind of ground."""
     sample = SimpleNamespace(origin=np.array([0.0, 0.0, -1.0]), known=None)
     expected = np.broadcast_to(np.arange(5) >= below, GRID.shape)
     assert_array_equal(scored_voxels(sample, GRID, world), expected)

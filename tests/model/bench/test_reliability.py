@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.model.bench.reliability import BINS, REGIONS, count, regions, reliability
 from scenegen.model.calibration import corrected
+from tests.scenegen import cases
 
 SHAPE = (40, 40, 40)
 
@@ -55,9 +56,6 @@ def test_regions_go_by_the_nearest_obstacle():
     unknown = np.arange(5) < 4
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     inside = regions(np.ones(5, bool), unknown, true, seen, truncation_m=2.0)
-    assert dict(zip(REGIONS, inside.astype(int).tolist(), strict=True)) == {
-        "map": [1, 1, 1, 1, 1],
-        "unobserved": [1, 1, 1, 1, 0],
-        "seen": [1, 0, 1, 0, 0],
-        "unseen": [0, 1, 0, 0, 0],
-    }
+    names, expected = zip(*cases("../model/regions"), strict=True)
+    assert names == tuple(REGIONS)
+    assert_array_equal(inside, np.loadtxt(expected))

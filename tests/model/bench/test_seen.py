@@ -10,6 +10,7 @@ from scenegen.model.bench.visibility import Seen, seen_occupancy, some_of
 from scenegen.model.completion.protocol import check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.truth import rasterize
+from tests.command_line import beside
 
 
 def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset):
@@ -39,13 +40,7 @@ def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset):
 
 def test_some_of_all_kinds_of_solids():
     """Meshes keep their triangles, whichever are taken with them."""
-    model = mujoco.MjModel.from_xml_string(
-        """<mujoco><asset><mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
-        <mesh name="b" vertex="0 0 0 2 0 0 0 2 0 0 0 2"/></asset><worldbody>
-        <geom type="mesh" mesh="a" pos="0.4 0.4 0.4"/><geom type="sphere" size="0.3" pos="2 1 1"/>
-        <geom type="mesh" mesh="b" pos="1 2 1"/><geom type="box" size="0.2 0.3 0.4" pos="3 3 1"/>
-        </worldbody></mujoco>"""
-    )
+    model = mujoco.MjModel.from_xml_string(beside(__file__, "some.xml"))
     solids = solids_of(model)
     for chosen in ([0, 1], [2, 3], [1], [0, 2], [], [0, 1, 2, 3]):
         some = some_of(solids, chosen)

@@ -88,7 +88,7 @@ def test_damaged_predictions_are_made_again(folders, net, tmp_path, damage, monk
     predict_split(net, dataset, "test", out)
     whole = contents(out)
     DAMAGES[damage](out / "test-00000.h5")
-    refuses(damage, Predicted(out).check, dataset, "test", error=DatasetError)
+    refuses(damage, Predicted(out).check, dataset, "test")
     assert predict_split(net, dataset, "test", out).damaged == ["test-00000.h5"]
     assert contents(out) == whole
 
@@ -124,7 +124,9 @@ def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
         warnings.simplefilter("error")
         scan = read_scan(tmp_path / "scan.npy", sample.position)
         report = predict_scan(net, scan, out)
-    assert (report.inside, report.points, report.without) == (len(points), len(points) + 5, 3)
+    assert report.inside == len(points)
+    assert report.points == len(points) + 5
+    assert report.without == 3
     check_wording("summary", "; ".join(summary(net, [report])))
     expected = net(sample.observed)
     with h5py.File(out) as file:
@@ -142,14 +144,13 @@ def test_unfit_scans_and_places_are_refused(net, tmp_path):
     tasks = dict(scans_in(tmp_path, far=np.full((4, 3), 1000.0), good=np.full((4, 3), 0.5)))
     odd = tmp_path / "odd.ply"
     odd.write_bytes(b"ply\nformat ascii 1.0\n")
-    more = {"error": DatasetError}
-    refuses("far", predict_scan, net, tasks["far"](), tmp_path / "o.h5", **more)
-    refuses("format", predict_scan, net, tasks["good"](), tmp_path / "o.txt", **more)
-    refuses("another's", predict_scan, net, tasks["good"](), odd, **more)
+    refuses("far", predict_scan, net, tasks["far"](), tmp_path / "o.h5")
+    refuses("format", predict_scan, net, tasks["good"](), tmp_path / "o.txt")
+    refuses("another's", predict_scan, net, tasks["good"](), odd)
     assert odd.read_bytes() == b"ply\nformat ascii 1.0\n"
     for name in ("scan.e57", "missing.npy"):
-        refuses(name, read_scan, tmp_path / name, [0, 0, 0], **more)
-    refuses("sensor", read_scan, tmp_path / "good.npy", [0, 0, np.nan], **more)
+        refuses(name, read_scan, tmp_path / name, [0, 0, 0])
+    refuses("sensor", read_scan, tmp_path / "good.npy", [0, 0, np.nan])
     assert not list(tmp_path.glob("o.*"))
     for _ in range(2):  # our own is replaced
         predict_scan(net, tasks["good"](), tmp_path / "ours.ply")

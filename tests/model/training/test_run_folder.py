@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from scenegen.base import files
-from scenegen.base.errors import DatasetError
-from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
+from scenegen.model.checkpoint import load_tensors, save_tensors
 from scenegen.model.network import Network
 from scenegen.model.training.run_folder import Progress, RunFolder
 from tests.conftest import contents
@@ -32,9 +31,9 @@ def test_damaged_states_are_refused(begun, tmp_path):
     tensors, header = load_tensors(begun / "last.safetensors")
     state = tmp_path / "last.safetensors"
     save_tensors(state, tensors, header | {"more": 1})
-    refuses("other", restored, tmp_path, error=CheckpointError)
+    refuses("other", restored, tmp_path)
     state.write_bytes(b"\xff" * 5000)
-    refuses("bytes", restored, tmp_path, error=CheckpointError)
+    refuses("bytes", restored, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +41,7 @@ def test_damaged_states_are_refused(begun, tmp_path):
 )
 def test_unreadable_settings_are_refused(tmp_path, content):
     (tmp_path / "config.json").write_bytes(content.encode("latin-1"))
-    refuses(content[:9], RunFolder(tmp_path).open, {"settings": {}}, error=DatasetError)
+    refuses(content[:9], RunFolder(tmp_path).open, {"settings": {}})
 
 
 def test_a_full_disk_leaves_the_last_state(folders, begun, tmp_path, monkeypatch):
@@ -56,9 +55,9 @@ def test_a_full_disk_leaves_the_last_state(folders, begun, tmp_path, monkeypatch
     progress = Progress(rows=[{"epoch": 1.0, "val_loss": 1.0}])
     with monkeypatch.context() as patch:
         patch.setattr(files, "open", full, raising=False)
-        refuses("save", folder.save, progress, error=DatasetError)
+        refuses("save", folder.save, progress)
         ended = progress, network, grid, {}, "last"
-        refuses("round", folder.close_round, *ended, error=DatasetError)
+        refuses("round", folder.close_round, *ended)
     assert before == contents(out)
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import scenegen
-from scenegen.base.errors import DatasetError, GenerationError, StoppedError
+from scenegen.base.errors import GenerationError, StoppedError
 from scenegen.model.training import loop
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
@@ -30,20 +30,6 @@ def streamed(split="train", samples=10**9):
 def run(out, **more):
     maps, validation = [streamed()], [streamed("val", 4)]
     return loop.train(maps, validation, CONFIG, out, device="cpu", **more)
-
-
-@pytest.fixture
-def drawers(tmp_path, monkeypatch):
-    """A folder with a file for every unit and process that draws it."""
-    folder, original = tmp_path / "drawers", Component.draw
-    folder.mkdir()
-
-    def draw(component, unit):
-        (folder / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
-        return original(component, unit)
-
-    monkeypatch.setattr(Component, "draw", draw)
-    return folder
 
 
 def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path, monkeypatch):
@@ -73,21 +59,29 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed():
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_no_loader_process_draws_what_another_draws(workers, drawers):
+def test_no_loader_process_draws_what_another_draws(workers, tmp_path, monkeypatch):
+    """A file tells of every unit, and of the process that draws it."""
+    original = Component.draw
+
+    def draw(component, unit):
+        (tmp_path / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
+        return original(component, unit)
+
+    monkeypatch.setattr(Component, "draw", draw)
     maps = Maps([streamed()], "train")
     batches = list(Course(maps, CONFIG).batches(3, 20))
     read = load(maps, batches, workers=workers, pinned=False)
     assert sum(len(one["occupancy"]) for one in read) == 80
-    drawn = [path.name.split() for path in drawers.iterdir()]
+    drawn = [path.name.split() for path in tmp_path.iterdir()]
     assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
     assert len({process for _, _, process in drawn}) == max(workers, 1)
 
 
 def test_unfit_streams_are_refused(folders, monkeypatch):
     maps = Maps([streamed()], "train")
-    refuses("endless", Course, maps, SMALL, error=DatasetError)
+    refuses("endless", Course, maps, SMALL)
     mixed = Maps([streamed(), *opened(folders[:1], "train")], "train")
-    refuses("with a dataset", Course, mixed, CONFIG, error=DatasetError)
+    refuses("with a dataset", Course, mixed, CONFIG)
 
     def hopeless(component, unit):
         raise GenerationError("train world 0: all draws rejected")
@@ -95,4 +89,4 @@ def test_unfit_streams_are_refused(folders, monkeypatch):
     monkeypatch.setattr(Component, "draw", hopeless)
     for workers in (0, 1):
         batches = load(maps, [[0]], workers=workers, pinned=False)
-        refuses(workers, list, batches, error=GenerationError)
+        refuses(workers, list, batches)

@@ -53,23 +53,15 @@ def test_epochs_are_full_batches_of_different_maps(count, batch):
     assert seen == set(range(count))
 
 
-@pytest.mark.parametrize(
-    ("shape", "mirrored", "allowed"),
-    [
-        ((8, 8, 4), True, [0, 1, 2, 3, 4, 5, 6, 7]),
-        ((8, 6, 4), True, [0, 2, 4, 6]),
-        ((8, 8, 4), False, [0, 1, 2, 3]),
-        ((8, 6, 4), False, [0, 2]),
-    ],
-)
-def test_fitting_symmetries_occur_equally_often(shape, mirrored, allowed):
+@pytest.mark.parametrize("mirrored", [True, False])
+@pytest.mark.parametrize(("shape", "step"), [((8, 8, 4), 1), ((8, 6, 4), 2)])
+def test_fitting_symmetries_occur_equally_often(shape, step, mirrored):
     """A map as long as it is wide has eight, another has those that keep its shape; half of them
     where rays are no mirror image; each map draws its own in every epoch of every seed."""
     maps = Counted(800, GridSpec(shape=shape), mirrored=mirrored)
-    epochs = [
-        dict(keys_of(maps, epoch, seed=seed))
-        for seed, epoch in itertools.product(range(2), repeat=2)
-    ]
+    allowed = list(range(0, 8 if mirrored else 4, step))
+    places = itertools.product(range(2), repeat=2)
+    epochs = [dict(keys_of(maps, epoch, seed=seed)) for seed, epoch in places]
     counts = np.bincount([*epochs[0].values()], minlength=8)
     assert np.flatnonzero(counts).tolist() == allowed
     usual = 800 / len(allowed)

@@ -15,8 +15,9 @@ from scenegen.model.calibration import (
     corrected,
     corrected_logit,
 )
-from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
+from scenegen.model.completion.protocol import Prediction, check_prediction
 from tests.refusals import refuses
+from tests.scenegen import each_case
 
 SHAPE = (8, 8, 8)
 PLAIN = Calibration(worlds=30, class_weight=5.0, temperature=2.0)
@@ -79,7 +80,7 @@ def test_stored_probabilities_are_checked(bad):
     zeros = np.zeros(SHAPE, np.float32)
     probability = zeros + bad if np.ndim(bad) == 0 else bad
     stored = Prediction(zeros, calibration=StoredProbability(probability=probability))
-    refuses(bad, check_prediction, stored, SHAPE, "mine", error=PredictionError)
+    refuses(bad, check_prediction, stored, SHAPE, "mine")
 
 
 HEADER = json.loads(json.dumps(dataclasses.asdict(PLAIN)))
@@ -99,16 +100,7 @@ def test_headers_hold_calibrations(header, expected):
     assert Calibration.of(header) == expected
 
 
-@pytest.mark.parametrize(
-    "entry",
-    [
-        3,
-        HEADER | {"temperature": float("nan")},
-        HEADER | {"worlds": "many"},
-        HEADER | {"class_weight": 0},
-        HEADER | {"temperature": -1.0},
-        HEADER | {"denied": [[0.5]]},
-    ],
-)
-def test_impossible_calibrations_are_refused(entry):
-    refuses(entry, Calibration.of, {KEY: entry})
+@each_case("../model/calibrations", "change")
+def test_impossible_calibrations_are_refused(change):
+    entry = json.loads(change)
+    refuses(change, Calibration.of, {KEY: HEADER | entry if isinstance(entry, dict) else entry})

@@ -11,17 +11,11 @@ from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.command_line import run
 from tests.conftest import contents, dataset_in
+from tests.scenegen import cases
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
-COMMANDS = """
-verify d --json
-convert d --to webdataset
-generate --like d --noise range:0.02
-complete d --weights n.safetensors --batch 2 --device cpu
-bench d --quick --weights n.safetensors --method returns --method truth
-"""
-COMMANDS = [line.split() for line in COMMANDS.strip().splitlines()]
+COMMANDS = [line.split() for (line,) in cases("base/everywhere")]
 *_, COMPLETE, BENCH = COMMANDS
 
 

@@ -12,37 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import beside
+
 NEEDED = pytest.mark.skipif(
     shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"
 )
 """For tests."""
-CONFIG = """
-ClusterName=scenegen
-SlurmctldHost={host}
-AuthType=auth/munge
-AuthInfo=socket={folder}/munge.socket
-CredType=cred/munge
-SlurmUser=root
-SlurmctldPort={port}
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool-%n
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd-%n.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd-%n.log
-ProctrackType=proctrack/pgid
-TaskPlugin=task/none
-SelectType=select/cons_tres
-SelectTypeParameters=CR_CPU
-AccountingStorageType=accounting_storage/none
-JobAcctGatherType=jobacct_gather/none
-JobCompType=jobcomp/none
-ReturnToService=2
-MpiDefault=none
-SchedulerParameters=sched_interval=1
-MaxArraySize=4
-PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
-"""
+CONFIG = beside(__file__, "slurm.conf")
 NODE = (
     "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} State=UNKNOWN\n"
 )

@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from scenegen.base.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.base.errors import GenerationError
 from scenegen.base.executors import executor, identity
 from scenegen.base.ray import sent, taken
 from scenegen.base.workers import rank_of
 from scenegen.dataset.build import build
 from tests.conftest import COUNTS, contents, plan_of
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.base.backwards import Backwards
 
 
@@ -43,18 +43,18 @@ def test_ranks_make_a_dataset_together_in_any_order(tmp_path, monkeypatch):
     assert make(tmp_path / "parts", "rank") == whole
 
 
-@pytest.mark.parametrize(("environment", "rank"), cases("base/executors_ranks"))
+@each_case("base/executors_ranks", "environment rank")
 def test_the_environment_tells_the_rank_or_one_line_says_why_not(environment, rank):
     variables = dict(pair.split("=") for pair in environment.split())
     if rank:
         assert str(rank_of(variables)) == rank
     else:
-        refuses(environment, rank_of, variables, error=DatasetError)
+        refuses(environment, rank_of, variables)
 
 
-@pytest.mark.parametrize("place", [place for (place,) in cases("base/executors")])
+@each_case("base/executors", "place")
 def test_what_is_no_executor_is_refused(place):
-    refuses(place, executor, place, 1, error=ScenegenError)
+    refuses(place, executor, place, 1)
 
 
 def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):

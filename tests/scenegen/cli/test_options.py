@@ -52,7 +52,8 @@ BEYOND = "--width=65 --width=0 --width=1.5 --reach=0 --reach=many --reach=nan --
 @pytest.mark.parametrize("word", [*BEYOND.split(), "--stride=3", "--mode=odd"])
 def test_bounds_and_choices_are_the_fields(word):
     code, said = run(word)
-    assert (code, word.partition("=")[0] in said) == (2, True)
+    assert code == 2
+    assert word.partition("=")[0] in said
 
 
 @pytest.mark.parametrize("word", ["-o", "--out", "--output"])

@@ -14,29 +14,17 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
 from scenegen.view.stills import draw_patterns
-from tests.command_line import ROOT, SMALL, done, refused
+from tests.command_line import ROOT, SMALL, beside, done
 from tests.refusals import refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.worlds.test_octomap import written
 
-ROOM = """<mujoco><worldbody>
-<geom type="box" size="1 20 5" pos="11 0 0" rgba="1 1 1 1"/>
-<geom type="box" size="1 20 5" pos="-11 0 0" rgba="1 1 1 1"/>
-<geom type="box" size="20 1 5" pos="0 11 0" rgba="1 1 1 1"/>
-<geom type="box" size="20 1 5" pos="0 -11 0" rgba="1 1 1 1"/>
-</worldbody></mujoco>"""
 AT = "scan room.xml --pose 1,2,0.5,30"
-LIDAR = """sensor = "spinning"
-name = "mine"
-elevations_deg = [-5.0, 5.0]
-columns = 8
-max_range_m = 30.0
-noise = "range:0.02"
-"""
+LIDAR = beside(__file__, "mine.toml")
 
 
 FILES = {
-    "room.xml": ROOM,
+    "room.xml": beside(__file__, "room.xml"),
     "mine.toml": LIDAR,
     "small.toml": SMALL,
     "bare.toml": (BARE := SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", "")),
@@ -64,7 +52,8 @@ def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys, monkeypat
     listed = json.loads(done(capsys, "sensors mine.toml ouster-os1-128 --json --out p.png"))
     assert listed["ouster-os1-128"]["elevation_deg"] == [-21.82, 20.95]
     told = listed["mine.toml"]
-    assert (told["shape"], told["elevation_deg"]) == ([2, 8], [-5.0, 5.0])
+    assert told["shape"] == [2, 8]
+    assert told["elevation_deg"] == [-5.0, 5.0]
     assert matplotlib.image.imread(here / "p.png").shape[1] == 640
 
 
@@ -88,7 +77,8 @@ def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1 --recipe"
     done(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")
     made = Dataset(here / "d").manifest.tables.lidar
-    assert (made["made_by"], made["shape"]) == ("robosense-helios-16p", [16, 1800])
+    assert made["made_by"] == "robosense-helios-16p"
+    assert made["shape"] == [16, 1800]
     lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
     (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
     done(capsys, f"{command} in.toml --out e")
@@ -129,10 +119,10 @@ def test_poses_in_a_flight_follow_one_another(here):
     assert np.median(steps) > 0.49
 
 
-@pytest.mark.parametrize(("words", "told"), cases("cli/sensors"))
-def test_what_cannot_be_ends_in_one_line(words, told, here, capsys):
+@each_case("cli/sensors", "words")
+def test_what_cannot_be_ends_in_one_line(words, here, capsys):
     before = set(here.iterdir())
-    assert told in refused(capsys, words)
+    refuses_command(capsys, words)
     assert set(here.iterdir()) == before
 
 

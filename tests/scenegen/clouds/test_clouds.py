@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenegen.worlds.clouds import read_cloud, scans_in
 from scenegen.worlds.clouds.write import write_points
 from tests.refusals import refuses
+from tests.scenegen import cases
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 
@@ -97,47 +98,14 @@ def test_pcd_with_fields_of_any_kind_in_any_order(tmp_path):
         assert_array_equal(read_cloud(tmp_path / "a.pcd").points, points)
 
 
-PLY = "ply\nformat {} 1.0\nelement vertex {}\n{}\nend_header\n1 2 3\n1 2 3\n1 2 3\n".format
-XYZ = "property float x\nproperty float y\nproperty float z"
-NPY = "\x93NUMPY\1\0\x50\0{{'descr': '{}', 'fortran_order': False, 'shape': ({}, 3)}}".format
-PACKED, ROWS = pcd("binary_compressed"), bytes(63)
-BROKEN = {
-    "many.ply": PLY("ascii", 10**12, XYZ),
-    "few.ply": PLY("ascii", 5, XYZ),
-    "binary.ply": PLY("binary_little_endian", 5, XYZ),
-    "negative.ply": PLY("ascii", -1, XYZ),
-    "zip.ply": PLY("zip", 1, XYZ),
-    "list.ply": PLY("ascii", 1, "property list uchar int x"),
-    "twice.ply": PLY("ascii", 1, XYZ.replace(" y", " x")),
-    "endless.ply": "ply\n" * 10_000,
-    "nested.npy": "\x93NUMPY\1\0\x28\x23" + "(" * 9000,
-    "many.npy": NPY("<f8", 10**7).ljust(90),
-    "objects.npy": NPY("|O", 1).ljust(90),
-    "empty.xyz": "",
-    "ragged.xyz": "1 2 3\n1 2\n",
-    "commas.xyz": "1,5 -2,25 3,5\n",
-    "zeros.xyz": "\0" * 1000,
-    "few.pcd": pcd("binary", 4) + ROWS,
-    "unsized.pcd": PACKED + ROWS,
-    "short.pcd": PACKED + struct.pack("<II", 3, 63) + b"\1\0\0",
-    "backwards.pcd": PACKED + struct.pack("<II", 2, 63) + b"\x20\5",  # repeats what was before it
-    "no z.pcd": pcd("binary", fields="intensity _ z y w") + ROWS,
-    "many.pcd": pcd("binary", 10**12) + ROWS,
-    "type.pcd": pcd("binary", type="U U F F Q") + ROWS,
-    "wide.pcd": pcd("binary", count="1 999999999 1 1 1") + ROWS,
-    "negative.pcd": pcd("binary", count="1 -3 1 1 1") + ROWS,
-    "headless.pcd": b"DATA binary\n",
-    "uneven.bin": bytes(17),
-    "empty.bin": b"",
-    "empty.npz": b"PK\x05\x06" + bytes(18),
-}
+LONG = [("endless.ply", "ply\n" * 10_000), ("nested.npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000)]
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", BROKEN)
-def test_files_that_promise_more_than_they_hold_are_refused(tmp_path, name):
-    content = BROKEN[name]
-    content = content if isinstance(content, bytes) else content.encode("latin-1")
+@pytest.mark.parametrize(("name", "content"), [*cases("clouds/broken"), *LONG])
+def test_files_that_promise_more_than_they_hold_are_refused(tmp_path, name, content):
+    """What stands in the table has Python's escapes."""
+    content = content.encode("latin-1").decode("unicode_escape").encode("latin-1")
     (tmp_path / name).write_bytes(content)
     refuses(name, read_cloud, tmp_path / name)
 

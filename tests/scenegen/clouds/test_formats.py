@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.worlds.clouds import read_cloud
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 POINTS = np.random.default_rng(0).uniform(-9, 9, (6, 3)).astype("<f4")
 TEXT = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in POINTS.tolist())
@@ -16,7 +16,7 @@ HEAD = (
 
 
 @pytest.mark.parametrize("coding", ["ascii", "binary", "BINARY"])
-@pytest.mark.parametrize(("old", "new"), cases("clouds/heads"))
+@each_case("clouds/heads", "old new")
 def test_pcd_is_read_as_drivers_write_it(tmp_path, coding, old, new):
     old, new = (text.replace("\\n", "\n").replace("\\r", "\r") for text in (old, new))
     head = f"{HEAD}DATA {coding}\n".replace(old, new)
@@ -25,7 +25,7 @@ def test_pcd_is_read_as_drivers_write_it(tmp_path, coding, old, new):
     assert_array_equal(read_cloud(tmp_path / "scan.pcd").points, POINTS)
 
 
-@pytest.mark.parametrize(("old", "new"), cases("clouds/formats"))
+@each_case("clouds/formats", "old new")
 def test_faults_of_a_pcds_header_are_named(tmp_path, old, new):
     head = f"{HEAD}DATA ascii\n".replace(old.replace("\\n", "\n"), new)
     (tmp_path / "scan.pcd").write_text(head + TEXT)

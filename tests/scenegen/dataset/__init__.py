@@ -6,28 +6,15 @@ import operator
 
 from scenegen.base.reading import sha256_of
 from scenegen.draw.sample import GROUPS
+from tests.command_line import beside
 
 OF_POSES = ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint")
 """Fields that a second scan from the same poses does not change."""
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
 
-SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
-<geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
-<geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
+SCENE = beside(__file__, "scene.xml")
 """A world, as the text of a file."""
-NASTY = (
-    "null",
-    "-1",
-    "1e308",
-    '"x"',
-    '"../x"',
-    "[]",
-    "[[1]]",
-    "{}",
-    '{"a": 1}',
-    "true",
-    r'"\u0000"',
-)
+NASTY = beside(__file__, "nasty.txt").splitlines()
 """JSON that stands in no file of ours at that place."""
 
 
@@ -41,8 +28,13 @@ def samples_of(dataset, split):
 
 
 def put(file, path, value):
-    """Put what the JSON `value` says at a dotted path of a JSON file."""
+    """Put what the JSON `value` says at a dotted path of a JSON file; nothing deletes what is
+    there."""
     document = json.loads(file.read_text())
     *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
-    functools.reduce(operator.getitem, above, document)[last] = json.loads(value)
+    place = functools.reduce(operator.getitem, above, document)
+    if value:
+        place[last] = json.loads(value)
+    else:
+        del place[last]
     file.write_text(json.dumps(document))

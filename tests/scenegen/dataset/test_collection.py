@@ -20,56 +20,17 @@ from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
 from scenegen.worlds.kinds import kind_names
+from tests.command_line import beside
 from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 from tests.scenegen.dataset import NASTY, SCENE, put, samples_of
 
-SMALL = """
-kind = "mixed"
-[grid]
-shape = [24, 24, 16]
-[flight]
-viewpoints = 2
-[accept]
-min_solids = 0
-min_occupied_share = 0
-min_returned_share = 0
-"""
-RECIPE = f"""{SMALL}[[component]]
-kind = "pillar"
-weight = 3
-[component.world]
-density = [0.06, 0.06]
-[[component]]
-kind = "clutter"
-weight = 1
-[[component]]
-kind = "maze"
-difficulty = "hard"
-weight = 1
-"""
+RECIPE = beside(__file__, "mixed.toml")
+SMALL = RECIPE.partition("[[component]]")[0]
 COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
-DIFFERENT = f"""{SMALL}[[component]]
-kind = "pillar"
-weight = 3
-[component.noise]
-stages = "dropout:0.5"
-[[component]]
-kind = "clutter"
-weight = 2
-[component.lidar]
-sensor = "velodyne-vlp-16"
-[component.mapping]
-scans = 2
-[[component]]
-kind = "maze"
-difficulty = "hard"
-weight = 1
-[component.lidar]
-sensor = "livox-mid-360"
-"""
+DIFFERENT = beside(__file__, "different.toml")
 """Components that differ in sensor, noise and scans."""
 
 
@@ -107,9 +68,8 @@ def test_samples_come_by_weight_and_know_their_kind(mixed):
     assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze-hard"] * 4
     assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze-hard"]
     by_kind = mixed.split("test").by_kind()
-    assert {kind: len(samples) for kind, samples in by_kind.items()} == {
-        **{"pillar": 3, "clutter": 1, "maze-hard": 1}
-    }
+    assert list(by_kind) == ["pillar", "clutter", "maze-hard"]
+    assert list(map(len, by_kind.values())) == [3, 1, 1]
 
 
 def test_worlds_of_a_collection_have_numbers_of_their_own(mixed):
@@ -129,23 +89,16 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe, tmp_pa
     counts = {"train": 12, "val": 3, "test": 3}
     alone = built(plan_of(tmp_path / "alone", pillars, seed=4, counts=counts))
     for split in SPLITS:
-        expected = [
-            digest
-            for dataset in (alone, *mixed.datasets[1:])
-            for digest in samples_of(dataset, split)
-        ]
-        assert samples_of(mixed, split) == expected
+        members = (samples_of(dataset, split) for dataset in (alone, *mixed.datasets[1:]))
+        assert samples_of(mixed, split) == list(itertools.chain(*members))
 
 
-@pytest.mark.parametrize("how", ["list", "folder"])
-def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed, how):
+def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed):
     (changed / COLLECTION).unlink()
-    names = (
-        changed if how == "folder" else [changed / member.folder.name for member in mixed.datasets]
-    )
-    together = open_data(names).split("train")
-    assert sorted(samples_of(open_data(names), "train")) == sorted(samples_of(mixed, "train"))
-    assert together.count_worlds() == 10
+    for names in (changed, [changed / member.folder.name for member in mixed.datasets]):
+        together = open_data(names)
+        assert sorted(samples_of(together, "train")) == sorted(samples_of(mixed, "train"))
+        assert together.split("train").count_worlds() == 10
 
 
 def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, changed, recipe):
@@ -184,16 +137,14 @@ def test_no_value_in_a_collections_list_ends_in_a_traceback(changed, path):
 
 
 def test_datasets_that_do_not_go_together_are_refused(mixed, tmp_path):
-    for name, options in {
-        "d": {},
-        "longer": {"counts": {**TRAIN, "train": 6}, "compact": True},
-        "other seed": {"seed": 1},
-        "other grid": {"recipe": small_recipe(grid={"shape": (16, 16, 16)})},
-    }.items():
-        dataset_in(tmp_path / name, **options)
-    assert len(open_data([tmp_path / "d", tmp_path / "other seed"]).split("train")) == 6
-    for name in ("d", "longer", "other grid"):
-        refuses(name, open_data, [tmp_path / "d", tmp_path / name])
+    folder = dataset_in(tmp_path / "d").folder
+    longer = {"counts": {**TRAIN, "train": 6}, "compact": True}
+    other_grid = {"recipe": small_recipe(grid={"shape": (16, 16, 16)})}
+    refuses("d", open_data, [folder, folder])
+    for name, options in {"longer": longer, "other grid": other_grid}.items():
+        refuses(name, open_data, [folder, dataset_in(tmp_path / name, **options).folder])
+    other_seed = dataset_in(tmp_path / "other seed", seed=1).folder
+    assert len(open_data([folder, other_seed]).split("train")) == 6
 
 
 def test_no_world_from_a_file_is_in_two_splits(tmp_path):
@@ -216,7 +167,8 @@ def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(tmp_path):
     samples = different.split("train")
     for n, sample in enumerate(samples):
         home = samples.home(n)
-        assert (sample.lidar, sample.ranges.shape) == (home.lidar, home.lidar.shape)
+        assert sample.lidar == home.lidar
+        assert sample.ranges.shape == home.lidar.shape
         assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
         fused = fuse(sample.scans()[::-1], sample.grid, sample.origin, home.mapping)
         assert np.array_equal(sample.free, fused.free)
@@ -225,8 +177,7 @@ def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(tmp_path):
 def test_without_components_every_kind_has_the_same_weight():
     plans = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class").datasets
     assert [plan.folder.name for plan in plans] == list(kind_names())
-    assert sum(plan.samples for plan in plans) == 100
-    assert {plan.samples for plan in plans} == {100 // len(plans)}
+    assert [plan.samples for plan in plans] == [100 / len(plans)] * len(plans)
 
 
 def test_components_of_one_kind_are_numbered_and_draw_other_worlds(tmp_path):
@@ -237,7 +188,7 @@ def test_components_of_one_kind_are_numbered_and_draw_other_worlds(tmp_path):
     assert len({sample.ranges.tobytes() for sample in pillars.split("train")}) == 8
 
 
-@pytest.mark.parametrize(("old", "new"), cases("dataset/collection"))
+@each_case("dataset/collection", "old new")
 def test_a_bad_mixture_ends_in_one_line(recipe, tmp_path, old, new):
     recipe.write_text(RECIPE.replace(old, new.replace("; ", "\n"), 1))
     refuses(f"{old} {new}", plan_generation, recipe=recipe, out=tmp_path / "d", **COUNTS)
@@ -270,22 +221,11 @@ def test_a_domain_draws_with_every_combination_of_what_it_lists(recipe):
     assert settings == set(itertools.product((2, 3), (1, 2), (Noise(), Noise.parse("dropout:0.5"))))
 
 
-INTERVALS = """
-kind = "pillar"
-[domain]
-draws = 4
-[domain.lidar]
-rows = ["2..9", 20]
-[domain.noise]
-stages = "range:0.01..0.05,dropout:0.5"
-[domain.flight]
-altitude_m = [["0.5..1.0", "3.0..2.0"]]
-"""
 BOUNDS = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
 
 
 def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(recipe):
-    recipe.write_text(INTERVALS)
+    recipe.write_text(beside(__file__, "intervals.toml"))
     drawn, again, reseeded = (
         [part for part, _ in read_components(recipe, seed=n)] for n in (3, 3, 4)
     )

@@ -35,12 +35,6 @@ def whole(once):
     return once("parts", lambda folder: dataset_in(folder / "d", recipe)) / "d"
 
 
-@pytest.fixture
-def folder(whole, tmp_path):
-    """A copy, to change."""
-    return forge.copy(whole, tmp_path / "d")
-
-
 @pytest.mark.parametrize("names", [["labels"], ["normals"], ["normals", "labels"]])
 def test_parts_add_fields_and_change_none(names):
     recipes = small_recipe(), with_parts(*names)
@@ -101,8 +95,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("case", CHANGES)
-def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(folder, case):
-    name, change, check = CHANGES[case]
+def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(whole, tmp_path, case):
+    folder, (name, change, check) = forge.copy(whole, tmp_path / "d"), CHANGES[case]
 
     def edit(arrays):
         change(arrays[name][1], {field: values[1] for field, values in arrays.items()})

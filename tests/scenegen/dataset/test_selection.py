@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import json
 import shutil
 
 import numpy as np
@@ -28,6 +29,7 @@ from scenegen.view.inspect import inspect
 from tests.command_line import done
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import each_case
 from tests.scenegen.dataset import NASTY, put, samples_of
 
 
@@ -59,20 +61,15 @@ def written(folder, tmp_path):
     return file
 
 
+def lists(numbers):
+    return {name: values.tolist() for name, values in numbers.items()}
+
+
 def with_conditions(*texts, **more):
     return Choice(where=tuple(map(Condition.of, texts)), **more)
 
 
-CHOICES = {
-    "first": Choice(most=4),
-    "split": Choice(splits=("val", "test")),
-    "kind": Choice(kinds=("geometric",)),
-    "worlds": Choice(worlds=((0, 2), (3, 5))),
-    "numbers": with_conditions("sample<9", "viewpoint>=1"),
-    "measure": with_conditions("occupied>=0.02"),
-    "measures": with_conditions("returned>0.3", "range_m<4.5", most=5),
-    "mixed": with_conditions("occupied>=0.02", "sample<20", worlds=((1, 9),), most=3),
-}
+MEASURES_CHOSEN = with_conditions("returned>0.3", "range_m<4.5", most=5)
 
 
 def plain_loop(dataset, choice):
@@ -97,9 +94,10 @@ def plain_loop(dataset, choice):
 
 
 @pytest.mark.parametrize("kept", [False, True])
-@pytest.mark.parametrize("choice", CHOICES.values(), ids=CHOICES)
+@each_case("dataset/choices", "choice")
 def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
-    dataset = open_data(folder)
+    settings = json.loads(choice)
+    dataset, choice = open_data(folder), with_conditions(*settings.pop("where", ()), **settings)
     if kept:
         for member in dataset.datasets:
             inspect(member, keep=True)
@@ -109,17 +107,14 @@ def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
     assert 0 < sum(map(len, expected.values())) < 2 * sum(COUNTS.values())
 
 
-def lists(numbers):
-    return {name: values.tolist() for name, values in numbers.items()}
-
-
 def test_workers_choose_the_same(two_kinds):
-    dataset, choice = open_data(two_kinds), CHOICES["measures"]
+    dataset, choice = open_data(two_kinds), MEASURES_CHOSEN
     assert lists(choose(dataset, choice, workers=2)) == lists(choose(dataset, choice))
 
 
 def test_a_selection_reads_as_the_samples_that_were_chosen(two_kinds, tmp_path):
-    dataset, choice = open_data(two_kinds), CHOICES["mixed"]
+    conditions = "occupied>=0.02", "sample<20"
+    dataset, choice = open_data(two_kinds), with_conditions(*conditions, worlds=((1, 9),), most=3)
     numbers = choose(dataset, choice)
     (tmp_path / "s.json").write_bytes(encode_selection(dataset, numbers, choice, tmp_path))
     selection = open_data(tmp_path / "s.json")

@@ -17,7 +17,7 @@ from scenegen.verification import verify
 from scenegen.worlds.tables import read_toml
 from tests.conftest import plan_of, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 
 
@@ -82,7 +82,7 @@ def test_a_damaged_table_ends_in_one_line(tmp_path, case):
     refuses(case, sensor_of, sensor_entry(BeamTable(rays=UNIT)) | {"sha256": digest}, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "value"), cases("dataset/sensor"))
+@each_case("dataset/sensor", "name value")
 def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, name, value):
     table = BeamTable(rays=UNIT)
     write_rays(table, tmp_path)
@@ -102,7 +102,8 @@ def test_no_text_of_a_manifest_adds_a_line_to_its_recipe_file(table, trap):
     tables.accept[ODD] = 1
     (trap / "data" / "r.toml").write_text(recipe_text(tables, "it"))
     read = read_toml(trap / "data" / "r.toml")
-    assert (read["lidar"]["sensor"], read["lidar"]["made_by"]) == ("table", made_by)
+    assert read["lidar"]["sensor"] == "table"
+    assert read["lidar"]["made_by"] == made_by
     assert read["accept"][ODD] == 1
 
 

@@ -4,6 +4,7 @@ and soon."""
 import dataclasses
 import itertools
 import json
+import re
 import resource
 import shutil
 import time
@@ -27,18 +28,13 @@ from scenegen.draw.sample import GROUPS
 from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.conftest import dataset_in, small_recipe
+from tests.mutations import damage_hdf5
 from tests.mutations.case import REFUSED
-from tests.mutations.damage_hdf5 import external, link, other_shape, other_type, virtual
-from tests.mutations.hdf5_chunks import (
-    chunk_missing,
-    chunk_of_our_own,
-    shuffled_bomb,
-    unknown_filter,
-)
+from tests.mutations.nasty import places
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.verification.conftest import failed
-from tests.scenegen.verification.forge import copy, edit_at, read
+from tests.scenegen.verification.forge import edit_at, read
 from tests.scenegen.verification.forge import edit_manifest as edit
 
 BAD = 'null -1 1e308 "x" [] [[1]] {} {"a":1} true'
@@ -52,32 +48,18 @@ def read_whole(dataset, number=0):
     return tuple(getattr(sample, name) for name in GROUPS[""])
 
 
-def paths_in(value, above=""):
-    """The dotted paths of all that stands in a manifest; of a list, of its first item."""
-    inner = value.items() if isinstance(value, dict) else list(enumerate(value))[:1]
-    for name, item in inner:
-        yield f"{above}{name}"
-        if isinstance(item, dict | list):
-            yield from paths_in(item, f"{above}{name}.")
-
-
-@pytest.fixture(scope="module")
-def rich(tmp_path_factory):
-    """A dataset whose manifest has all that there may be, but for worlds from files."""
+def test_no_value_in_a_manifest_ends_in_a_traceback(tmp_path):
+    """Or in another sample. The manifest has all that there may be, but for worlds from files."""
     rays = BeamTable.of(Lidar(rows=4, columns=12))
     recipe = small_recipe(noise={"stages": "range:0.02"}, mapping={"scans": 2})
     parts = {"labels": labels_by("class", ()), "normals": Normals()}
-    recipe = dataclasses.replace(recipe, lidar=rays, parts=parts)
-    return dataset_in(tmp_path_factory.mktemp("rich") / "d", recipe).folder
-
-
-def test_no_value_in_a_manifest_ends_in_a_traceback(rich, tmp_path):
-    """Or in another sample."""
-    folder = copy(rich, tmp_path / "d")
-    good, dataset = (folder / NAME).read_text(), Dataset(folder)
+    dataset = dataset_in(tmp_path / "d", dataclasses.replace(recipe, lidar=rays, parts=parts))
+    folder, good = dataset.folder, (dataset.folder / NAME).read_text()
     expected = dataset.split("train")[0].sha256(), dataset.world("train", 0)
     outcomes, lines = Counter(), set()
-    for path, value in itertools.product(paths_in(json.loads(good)), BAD):
+    # of a list, the first item
+    paths = {re.sub(r"\.\d+", ".0", name[1:]) for *_, name in places(json.loads(good))}
+    for path, value in itertools.product(sorted(paths), BAD):
         (folder / NAME).write_text(good)
         edit_at(folder, path, value)
         try:
@@ -94,7 +76,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(rich, tmp_path):
     assert [line for line in lines if not line.isprintable()] == []
 
 
-@pytest.mark.parametrize(("path", "value"), cases("dataset/trust_newer"))
+@each_case("dataset/trust_newer", "path value")
 def test_what_this_version_does_not_know_is_called_newer(dataset, path, value):
     edit_at(dataset, path, value)
     refuses(f"{path} {value}", Dataset, dataset)
@@ -120,65 +102,50 @@ NO_MANIFESTS = {
 }
 
 
-@pytest.mark.parametrize("case", [*NO_MANIFESTS, "circle"])
-def test_what_is_no_manifest_is_refused(tmp_path, case):
-    if case == "circle":
-        (tmp_path / NAME).symlink_to(tmp_path / NAME)
-    else:
-        (tmp_path / NAME).write_bytes(NO_MANIFESTS[case])
-    refuses(case, Dataset, tmp_path)
+def test_what_is_no_manifest_is_refused(tmp_path):
+    for case, content in NO_MANIFESTS.items():
+        (tmp_path / NAME).write_bytes(content)
+        refuses(case, Dataset, tmp_path)
+    (tmp_path / NAME).unlink()
+    (tmp_path / NAME).symlink_to(tmp_path / NAME)
+    refuses("circle", Dataset, tmp_path)
 
 
-DAMAGES = {
-    virtual: [0],
-    external: [0],
-    link: [0, 5],
-    other_type: [1, 9, 17],
-    other_shape: [1, 19],
-    unknown_filter: [0],
-    chunk_missing: [0],
-    chunk_of_our_own: [5, 13, 25, 31],
-    shuffled_bomb: [0],
-}
-"""Of the campaign in tests/mutations, with seeds by which they come out otherwise."""
-
-
-@pytest.mark.parametrize(
-    ("damage", "seed"), [(damage, seed) for damage, seeds in DAMAGES.items() for seed in seeds]
-)
+@each_case("dataset/damages", "damage seed")
 def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset, damage, seed):
+    """By the campaign in tests/mutations, with seeds by which damages come out otherwise."""
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
-        assert damage(file, "occupancy", Random(seed))[1] == REFUSED
+        assert getattr(damage_hdf5, damage)(file, "occupancy", Random(int(seed)))[1] == REFUSED
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    refuses(f"{damage.__name__} {seed}", read_whole, dataset)
+    refuses(f"{damage} {seed}", read_whole, dataset)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (100 << 10)  # KB
     assert np.isfinite(scenegen.load(dataset)[3].tudf).all()  # the next shard
     assert "train-00000.h5" in failed(dataset, quick=True)["layout"]
 
 
+def put(dataset, document, members):
+    """An archive of a world and some members in place of a shard's."""
+    path = dataset / "train-00000.worlds.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in {"000000.xml": document, **members}.items():
+            archive.writestr(name, content)
+    return path
+
+
 def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, monkeypatch):
     monkeypatch.setattr("scenegen.dataset.archive.MAX_DOCUMENT_BYTES", 30)
     for name in ("../up.obj", ".hidden", "long"):
-        with zipfile.ZipFile(dataset / "train-00000.worlds.zip", "w") as archive:
-            archive.writestr("000000.xml", f'<mujoco file="{name}"/>' + " " * 99 * (name == "long"))
-            archive.writestr(name, "up")
+        document = f'<mujoco file="{name}"/>' + " " * 99 * (name == "long")
+        put(dataset, document, {name: "up"})
         refuses(name, Dataset(dataset).world, "train", 0)
 
 
 def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, monkeypatch):
-    path = dataset / "train-00000.worlds.zip"
     document = b'<mujoco><asset><mesh file="mesh"/></asset></mujoco>'
-
-    def put(**members):
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("000000.xml", document)
-            for name, content in members.items():
-                archive.writestr(name, content)
-
-    put(mesh=b"v", unused=b"v", esh=b"v")
+    put(dataset, document, dict.fromkeys(("mesh", "unused", "esh"), b"v"))
     assert Dataset(dataset).world("train", 0) == {"world.xml": document, "mesh": b"v"}
     for size in (999, 40 << 20):
-        put(mesh=bytes(size))
+        path = put(dataset, document, {"mesh": bytes(size)})
         content = bytearray(path.read_bytes())
         for mark, size_at in ((b"PK\3\4", 22), (b"PK\1\2", 24)):
             place = content.index(mark, content.index(mark) + 4) + size_at
@@ -190,7 +157,7 @@ def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, m
         assert tracemalloc.get_traced_memory()[1] < 10 << 20
         tracemalloc.stop()
     monkeypatch.setattr("scenegen.dataset.archive.MAX_ARCHIVE_BYTES", 1000)
-    put(mesh=bytes(1000))
+    put(dataset, document, {"mesh": bytes(1000)})
     refuses("too large", Dataset(dataset).world, "train", 0)
 
 
@@ -218,7 +185,7 @@ def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset):
     refuses("a short one", read_whole, dataset)
 
 
-@pytest.mark.parametrize(("field", "value"), cases("dataset/trust_broken"))
+@each_case("dataset/trust_broken", "field value")
 def test_a_compact_dataset_derives_nothing_from_a_broken_pose(tmp_path, field, value):
     dataset_in(tmp_path / "d", seed=3, compact=True)
     with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:

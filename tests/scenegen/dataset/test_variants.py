@@ -2,6 +2,7 @@
 pairs of the same worlds."""
 
 import dataclasses
+import json
 
 import h5py
 import numpy as np
@@ -24,7 +25,7 @@ from scenegen.worlds.recipe import make_recipe, preset, read_recipe
 from tests.command_line import done
 from tests.conftest import dataset_in, small_recipe
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.dataset import OF_POSES
 from tests.scenegen.dataset.conftest import NOISE, SEVERAL, made_with
@@ -133,9 +134,6 @@ def test_a_recipe_file_says_its_noise_and_is_held_to_it(noisy, tmp_path):
 @pytest.mark.parametrize("stages", ["rnage:0.02", "datasheet", "none,none", "range,none"])
 def test_noise_that_is_not_to_be_had_is_refused(stages):
     refuses(stages, preset, "pillar", noise=stages)
-
-
-def test_none_by_itself_stands_for_clean_ranges():
     assert preset("pillar", noise="none") == preset("pillar")
 
 
@@ -167,7 +165,7 @@ def test_earlier_scans_lie_back_along_the_flight(several):
         assert (steps <= 0.7 + 1e-9).all()
         waited += np.count_nonzero(steps == 0.0)
         assert steps.max() > 0.3
-    assert waited > 0  # else no scan waits at the begin of its flight
+    assert waited  # else no scan waits at the begin of its flight
 
 
 AHEAD = {"fusion": "log-odds", "tilt_mps": 3.0, "map_ahead_m": (1.5, 0.2, -0.3)}
@@ -199,9 +197,7 @@ def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
         assert len({error[:20].tobytes() for error in drawn}) == 3
 
 
-@pytest.mark.parametrize(
-    ("heading", "shift"), [((1, 0), (5, 2, -1)), ((0, 1), (-2, 5, -1)), ((0, -1), (2, -5, -1))]
-)
+@each_case("dataset/ahead", "heading shift", json.loads)
 def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, shift):
     """Five voxels ahead, two to the left, one down."""
     recipe = small_recipe(
@@ -219,7 +215,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, sh
     assert 0.005 < sample.occupancy.mean() < 0.9
 
 
-@pytest.mark.parametrize(("field", "change", "checks"), cases("dataset/mapping_changed"))
+@each_case("dataset/mapping_changed", "field change checks")
 def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, change, checks):
     folder = forge.copy(several.folder, tmp_path / "d")
     with h5py.File(folder / "train-00000.h5", "r+") as file:
@@ -227,7 +223,7 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
     assert {*checks.split()} <= failed(folder).keys()
 
 
-@pytest.mark.parametrize(("path", "value"), cases("dataset/mapping"))
+@each_case("dataset/mapping", "path value")
 def test_a_strangers_word_is_not_trusted(several, noisy, tmp_path, path, value):
     original = several if "mapping" in path else noisy
     folder = forge.edit_at(forge.copy(original.folder, tmp_path / "d"), path, value)
@@ -243,8 +239,7 @@ def test_options_of_mapping_make_a_dataset_with_it(small, tmp_path, capsys):
     command = f"generate --recipe {small} --n 1 --val 0 --test 0 --workers 1 -o {tmp_path}/d"
     options = "--scans 3 --scan-spacing 0.2 --fusion log-odds --tilt 2 --map-ahead 1,0,-0.5"
     done(capsys, f"{command} {options} --quiet")
-    mapping = Dataset(tmp_path / "d").manifest.mapping
+    refuses_command(capsys, f"{command} --map-ahead 99,0,0 --force")  # which loses nothing
     expected = {"scans": 3, "scan_spacing_m": 0.2, "fusion": "log-odds", "tilt_mps": 2.0}
-    assert mapping == Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
-    refuses_command(capsys, f"{command} --map-ahead 99,0,0 --force")
-    assert Dataset(tmp_path / "d").manifest.mapping == mapping  # what was there is not lost
+    mapping = Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
+    assert Dataset(tmp_path / "d").manifest.mapping == mapping

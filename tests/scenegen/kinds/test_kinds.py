@@ -17,7 +17,7 @@ from scenegen.worlds.labels import class_names, classes_of, labels_by
 from scenegen.worlds.recipe import make_recipe, preset
 from scenegen.worlds.world import write_world
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import cases, each_case
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.kinds import Geom, draw
 
@@ -79,7 +79,7 @@ def kind_of(name, parameters):
     return find_kind(name)(**{k: tuple(v) if isinstance(v, list) else v for k, v in values})
 
 
-@pytest.mark.parametrize(("name", "parameters"), cases("kinds/refused"))
+@each_case("kinds/refused", "name parameters")
 def test_what_takes_too_much_or_leaves_its_bounds_is_refused(name, parameters):
     refuses(f"{name} {parameters}", lambda: draw(kind_of(name, parameters)))
 

@@ -17,7 +17,7 @@ from scenegen.view.inspect import inspect
 from tests.command_line import python
 from tests.conftest import COUNTS, contents, dataset_in, small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.verification.forge import edit_at
 
@@ -132,7 +132,7 @@ def test_the_lock_has_the_versions_that_made_it(out, made):
     assert dict(line.split("==") for line in lines) == software
 
 
-@pytest.mark.parametrize(("path", "value"), cases("publish/stage"))
+@each_case("publish/stage", "path value")
 def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, value):
     edit_at(dataset, path, value)
     refuses(path, stage, asked, CHECKS)

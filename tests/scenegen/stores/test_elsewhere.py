@@ -17,14 +17,11 @@ NAME = "s3://lab/d"
 
 
 @pytest.fixture
-def everything(once):
-    """A dataset and a network, made before the cache is another one."""
-    return once("everywhere", everywhere.make)
-
-
-@pytest.fixture
-def here(everything, store, tmp_path, monkeypatch):
-    """A folder to stand in, with the dataset there and in the store."""
+def here(once, request, tmp_path, monkeypatch):
+    """A folder to stand in, with a dataset there and in the store, and a network; they are made
+    before the cache is another one."""
+    everything = once("everywhere", everywhere.make)
+    store = request.getfixturevalue("store")
     for name in ("d", "n.safetensors"):
         (tmp_path / name).symlink_to(everything / name)
     shutil.copytree(everything / "d", store / "lab" / "d")

@@ -27,7 +27,7 @@ from scenegen.verification import verify
 from tests.command_line import done
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import cases, each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
@@ -298,31 +298,22 @@ def bucket(tmp_path, monkeypatch):
         yield Store("s3://lab/x")
 
 
-VERBS = "cut read, cut fetch, page put"
-VERBS += "".join(
-    f", {answer} {verb}"
-    for answer in ("circle", "secret")
-    for verb in ("read", "fetch", "list", "put")
-)
-
-
-@pytest.mark.parametrize("case", VERBS.split(", "))
-def test_an_odd_servers_answer_ends_in_one_line(case, bucket, monkeypatch, tmp_path):
-    answer, verb = case.split()
+@each_case("stores/odd", "answer verb")
+def test_an_odd_servers_answer_ends_in_one_line(answer, verb, bucket, monkeypatch, tmp_path):
     monkeypatch.setattr(Odd, "answers", repeat(ODD[answer]))
     words = {"read": ["y", 100], "fetch": ["y", tmp_path / "y"], "list": [], "put": ["y", b""]}
-    line = refuses(case, getattr(bucket, verb), *words[verb], error=StoreError)
+    line = refuses(f"{answer} {verb}", getattr(bucket, verb), *words[verb])
     assert not [word for word in SECRETS if word in line]
 
 
-@pytest.mark.parametrize(("status", "code"), cases("stores/stores"))
+@each_case("stores/stores", "status code")
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
     status, code, bucket, monkeypatch
 ):
     page = f"<Error><Code>{code}</Code><Message>you\n{SECRETS}</Message></Error>".encode()
     answer = int(status), page, {"Content-Length": str(len(page))}
     monkeypatch.setattr(Odd, "answers", repeat(answer))
-    line = refuses(code, bucket.put, "train-00000.h5", b"", error=StoreError)
+    line = refuses(code, bucket.put, "train-00000.h5", b"")
     assert not [word for word in SECRETS if word in line]
 
 

@@ -28,34 +28,25 @@ COUNTS = {"train": 6, "val": 0, "test": 0}
 SEVERAL = {"scans": 3, "tilt_mps": 3.0, "map_ahead_m": (1.5, 0.2, -0.3), "fusion": "log-odds"}
 
 
-def drawn(recipe):
-    return recipe, DrawnWorlds(recipe)
-
-
-def of_a_map(folder):
-    source = read_scenes(hall_in(folder, hall()), COUNTS, seed=0)
-    return source.suited(scene_recipe()), source
-
-
-EXAMPLES = {
-    "": lambda folder: drawn(replace(picky_recipe(), noise=Noise.parse("range:0.02"))),
-    "earlier": lambda folder: drawn(small_recipe("geometric", mapping=SEVERAL)),
-    "labels": lambda folder: drawn(
-        replace(small_recipe("warehouse", mapping={"scans": 2}), parts={"labels": CLASSES})
-    ),
-    "normals": lambda folder: drawn(replace(small_recipe(), parts={"normals": Normals()})),
-    "known": of_a_map,
-    "movers": lambda folder: drawn(
-        replace(small_recipe(mapping={"scans": 2}), parts={"movers": Traffic(people=(8, 10))})
-    ),
+TWO = {"scans": 2}
+RECIPES = {
+    "": replace(picky_recipe(), noise=Noise.parse("range:0.02")),
+    "earlier": small_recipe("geometric", mapping=SEVERAL),
+    "labels": replace(small_recipe("warehouse", mapping=TWO), parts={"labels": CLASSES}),
+    "normals": replace(small_recipe(), parts={"normals": Normals()}),
+    "movers": replace(small_recipe(mapping=TWO), parts={"movers": Traffic(people=(8, 10))}),
 }
-"""What makes samples that have the fields of a group: a recipe, and where its worlds come from."""
+"""Samples that have the fields of a group; those of `known` are of a map."""
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_streams_give_every_field_as_generate_stores_it(group, tmp_path, monkeypatch):
     """What is stored is read by h5py alone."""
-    recipe, source = EXAMPLES[group](tmp_path)
+    if group == "known":
+        source = read_scenes(hall_in(tmp_path, hall()), COUNTS, seed=0)
+        recipe = source.suited(scene_recipe())
+    else:
+        source = DrawnWorlds(recipe := RECIPES[group])
     build(plan_dataset(tmp_path / "d", recipe, source, seed=4, counts=COUNTS))
     with h5py.File(tmp_path / "d" / "train-00000.h5") as shard:
         stored = {name: shard[name][()] for name in FIELDS if name in shard}
@@ -67,7 +58,7 @@ def test_streams_give_every_field_as_generate_stores_it(group, tmp_path, monkeyp
             assert sample.names == tuple(stored)
             for name, values in stored.items():
                 actual = np.asarray(getattr(sample, name))
-                assert (name, actual.dtype) == (name, values.dtype)
+                assert actual.dtype == values.dtype, name
                 assert_array_equal(actual, values[n], name, strict=True)
         assert n + 1 == COUNTS["train"]
 

@@ -14,7 +14,7 @@ from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
@@ -41,22 +41,16 @@ def mixed(weights, samples=10**6):
 def test_parts_come_in_order_whole_and_in_proportion(seed):
     weights, _ = drawn(seed, 9, 3)
     stream, counts = mixed(weights), list(weights)
-    seen = Counter()
-    for index in range(400):
-        part, number = stream.part(index)
-        assert number == seen[part]  # each part by itself is a dataset from its beginning on
-        seen[part] += 1
-        if seen[part] % counts[part]:
-            assert stream.part(index + 1) == (part, number + 1)  # a flight is not torn apart
-    # the rule, by counting: the flight whose place is the least comes next
-    flown = Counter()
-    index = 0
+    # the rule, by counting: the flight whose place is the least comes next, and is not torn apart;
+    # each part by itself is a dataset from its beginning on
+    flown, expected = Counter(), []
     units = [Fraction(weight, count) for count, weight in weights.items()]
-    while index < 400:
+    while len(expected) < 400:
         rounds = [Fraction(2 * flown[k] + 1, 2) / units[k] for k in range(len(units))]
         part = rounds.index(min(rounds))
-        assert stream.part(index)[0] == part
-        index, flown[part] = index + counts[part], flown[part] + 1
+        expected += [(part, flown[part] * counts[part] + n) for n in range(counts[part])]
+        flown[part] += 1
+    assert [stream.part(index) for index in range(len(expected))] == expected
 
 
 def test_decimal_weights_are_meant_as_they_are_written():
@@ -120,6 +114,6 @@ def test_batches_go_on_where_a_state_says_with_any_ranks():
         refuses(case, batches(**options).load_state_dict, json.loads(state))
 
 
-@pytest.mark.parametrize("options", [options for (options,) in cases("streams/order")])
+@each_case("streams/order", "options")
 def test_batches_that_cannot_be_end_in_a_line(options):
     refuses(options, mixed({3: 1}, samples=50).batches, **json.loads(options))

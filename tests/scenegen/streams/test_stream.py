@@ -19,7 +19,7 @@ from scenegen.worlds.traffic import PRESETS
 from tests.command_line import ROOT, python
 from tests.conftest import small_recipe
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built, same
 from tests.scenegen.dataset import SCENE
 
@@ -112,10 +112,11 @@ def test_a_stream_that_nobody_closes_ends_without_a_word():
     """Also one that outlives the modules that it needs."""
     stream = "numpy.kept = scenegen.stream('pillar', workers=2); numpy.kept[0]"
     ended = python("-c", f"import numpy, scenegen; {stream}")
-    assert (ended.stdout, ended.stderr) == ("", "")
+    assert ended.stdout == ""
+    assert ended.stderr == ""
 
 
-@pytest.mark.parametrize(("source", "options"), cases("streams/stream"))
+@each_case("streams/stream", "source options")
 def test_what_cannot_be_ends_in_a_line(source, options):
     refuses(f"{source} {options}", scenegen.stream, json.loads(source), **json.loads(options))
 

@@ -12,22 +12,13 @@ from lidarsim import GridSpec
 from scenegen.truth import rasterize
 from scenegen.worlds.labels import NONE, SHAPES, class_names, classes_of, labels_by, owners
 from scenegen.worlds.world import compile_world
+from tests.command_line import beside
 from tests.conftest import small_recipe
 from tests.refusals import refuses
 from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.truth.reference import Shape, at_least
 
-CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
-WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody>
-<geom name="wall_2" type="box" size="0.35 0.3 0.5" pos="0.9 0.2 0.6" euler="0 0 30"/>
-<geom type="plane" size="0 0 1"/>
-<geom name="ball.001" type="sphere" size="0.4" pos="-0.3 0 0.7"/>
-<geom name="same" type="sphere" size="0.4" pos="-0.3 0 0.7"/>
-<geom name="crate7" type="mesh" mesh="cube" pos="-0.6 -0.9 0.6"/>
-<geom name="wall_10_top" type="capsule" size="0.15 0.3" pos="0.4 1.1 0.9"/>
-</worldbody></mujoco>"""
-
-
+WORLD = beside(__file__, "labelled.xml")
 TURNED = Rotation.from_euler("z", 30, degrees=True).as_quat(scalar_first=True)
 BALL = Shape("sphere", (0.4, 0, 0)).at((-0.3, 0, 0.7))
 SOLIDS = [

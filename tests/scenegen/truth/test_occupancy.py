@@ -2,6 +2,7 @@
 ``reference``."""
 
 import dataclasses
+import json
 import math
 
 import mujoco
@@ -14,6 +15,7 @@ from lidarsim import GridSpec
 from lidarsim.solids import solids_of
 from scenegen.truth import rasterize
 from tests.conftest import quarter
+from tests.scenegen import each_case
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import (
     EITHER,
@@ -295,14 +297,7 @@ def test_closed_meshes_are_filled_and_open_ones_not(name, count):
     assert (solid_maps > 0) == (name in WATERTIGHT)
 
 
-@pytest.mark.parametrize(
-    ("scale", "order"),
-    [
-        ([0.5, 1.3, 0.8], "whole"),
-        ([-0.7, -0.7, -0.7], "whole"),
-        *(([1, -1, 1], order) for order in ("apart", "inward", "mixed")),
-    ],
-)
+@each_case("mesh_lists", "scale order", json.loads)
 def test_a_watertight_mesh_is_filled_however_listed(scale, order):
     """Scaled or mirrored; vertices not shared between faces, or faces wound the wrong way round,
     enclose the same space."""

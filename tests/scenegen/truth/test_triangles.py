@@ -1,10 +1,12 @@
 """Distances to triangles and crossings of vertical lines, against the plainest definitions."""
 
+import json
+
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.truth.triangles import crossing, side, triangle_distance
+from tests.scenegen import each_case
 
 RNG = np.random.default_rng(0)
 TRIANGLES = RNG.uniform(-1, 1, (40, 3, 3))
@@ -28,9 +30,7 @@ def test_distances_are_those_of_the_nearest_point():
             assert nearest - 0.02 <= distance <= nearest + 1e-12
 
 
-@pytest.mark.parametrize(
-    "weights", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.5, 0.5, 0), (0.2, 0.3, 0.5)]
-)
+@each_case("weights", "weights", json.loads)
 def test_points_of_a_triangle_have_no_distance(weights):
     for triangle in TRIANGLES:
         assert_allclose(triangle_distance(*triangle, *(weights @ triangle)), 0.0, atol=1e-12)

@@ -3,6 +3,7 @@
 import pytest
 
 from scenegen.verification import verify
+from tests.refusals import check_wording
 from tests.scenegen.verification import forge
 
 
@@ -18,6 +19,13 @@ def originals(once):
 def folder(originals, tmp_path):
     """A dataset to plant faults in."""
     return forge.copy(originals["pillar"], tmp_path / "pillar")
+
+
+def finds(case, folder, check, **options):
+    """A check fails, in the line that the snapshot has for this case; all that failed."""
+    faults = failed(folder, **options)
+    check_wording(case, faults[check])
+    return faults
 
 
 def failed(folder, **options):

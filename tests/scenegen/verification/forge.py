@@ -1,10 +1,8 @@
 """A forger who knows the format: edits a dataset and rewrites every checksum and digest to
 match."""
 
-import functools
 import hashlib
 import json
-import operator
 import shutil
 import zipfile
 
@@ -15,6 +13,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.schema import NAME
 from scenegen.dataset.shard import zip_reproducibly
 from tests.conftest import dataset_in, small_recipe
+from tests.scenegen.dataset import put
 
 COUNTS = {"train": 6, "val": 3, "test": 3}
 DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
@@ -90,14 +89,7 @@ def edit_manifest(folder, **changes):
 def edit_at(folder, path, value):
     """Put what the JSON `value` says at a dotted path of the manifest, or, if it says nothing,
     delete what is there; the folder."""
-    document = read(folder)
-    *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
-    place = functools.reduce(operator.getitem, above, document)
-    if value:
-        place[last] = json.loads(value)
-    else:
-        del place[last]
-    (folder / NAME).write_text(json.dumps(document))
+    put(folder / NAME, path, value)
     return folder
 
 

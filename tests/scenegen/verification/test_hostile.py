@@ -10,7 +10,7 @@ import pytest
 from scenegen.base.limits import MAX_DOCUMENT_BYTES
 from tests.scenegen import cases
 from tests.scenegen.verification import forge
-from tests.scenegen.verification.conftest import failed
+from tests.scenegen.verification.conftest import finds
 
 SHARD, WORLDS = "train-00000.h5", "train-00000.worlds.zip"
 SECONDS = 20.0
@@ -35,15 +35,15 @@ def soon_and_small(tmp_path, elsewhere):
 
 def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder):
     os.truncate(folder / SHARD, 1 << 40)  # a hole: a terabyte that takes no space
-    assert "samples take" in failed(folder, quick=True)["layout"]
+    finds("terabyte", folder, "layout", quick=True)
     os.truncate(folder / SHARD, 1_500_000)
-    assert "belong to no sample" in failed(folder, quick=True)["layout"]
+    finds("megabyte", folder, "layout", quick=True)
 
 
 def test_a_pipe_is_not_waited_for(folder):
     (folder / SHARD).unlink()
     os.mkfifo(folder / SHARD)
-    assert f"{SHARD}: is missing, or no file" in failed(folder, quick=True)["layout"]
+    finds("pipe", folder, "layout", quick=True)
 
 
 def world(document):
@@ -64,38 +64,36 @@ LAUGHS = (
 )
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ({"../evil.xml": b""}, "'../evil.xml': expected a plain file name"),
-        ({"world.xml": b""}, "member 'world.xml': expected a world's number"),
-        ({"payload.bin": b"unasked"}, "no world in it refers to payload.bin"),
-        ({"000009.xml": geoms(1)}, "holds worlds 0 to 9 (3), its samples"),
-        (world(b" " * (MAX_DOCUMENT_BYTES + 1)), f"expected {MAX_DOCUMENT_BYTES} at most"),
-        (world(b"<mujoco>"), "000000.xml: is not plain XML"),
-        (world(LAUGHS), "declares a document type or entities"),
-        *((world(geoms(1, inner)), fault) for inner, fault in cases("verification/hostile")),
-        (world(DEEP), "200 levels"),
-        (world(geoms(50_001)), "more than 50000 geoms"),
-        (world(geoms(1, SITES)), "more than 5000 elements besides geom"),
-        (world(geoms(1, f"<size {MANY}/>")), "100 attributes of one"),
-        ({f"{n:06d}.xml": geoms(1) for n in range(7)}, "7 worlds, expected one a sample"),
-        ({"a.png": IMAGE}, "an image of"),
-    ],
-)
-def test_an_archive_that_means_harm_is_named(folder, change, fault):
-    forge.rezip(folder / WORLDS, lambda members: members.update(change))
+HARM = {
+    "outside": {"../evil.xml": b""},
+    "no number": {"world.xml": b""},
+    "unasked": {"payload.bin": b"unasked"},
+    "no sample": {"000009.xml": geoms(1)},
+    "large": world(b" " * (MAX_DOCUMENT_BYTES + 1)),
+    "no XML": world(b"<mujoco>"),
+    "laughs": world(LAUGHS),
+    **{inner: world(geoms(1, inner)) for (inner,) in cases("verification/hostile")},
+    "deep": world(DEEP),
+    "geoms": world(geoms(50_001)),
+    "sites": world(geoms(1, SITES)),
+    "attributes": world(geoms(1, f"<size {MANY}/>")),
+    "worlds": {f"{n:06d}.xml": geoms(1) for n in range(7)},
+    "image": {"a.png": IMAGE},
+}
+
+
+@pytest.mark.parametrize("case", HARM)
+def test_an_archive_that_means_harm_is_named(folder, case):
+    forge.rezip(folder / WORLDS, lambda members: members.update(HARM[case]))
     forge.sign(folder)
-    line = failed(folder, quick=True)["archives"]
-    assert line.startswith(WORLDS)
-    assert fault in line
+    finds(case, folder, "archives", quick=True)
 
 
 def test_what_passes_the_screen_but_is_no_world_is_named(folder):
     pyramid = world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
     forge.rezip(folder / WORLDS, lambda members: members.update(pyramid))
     forge.sign(folder)
-    assert f"{WORLDS}: 000000.xml: not valid MJCF" in failed(folder)["splits"]
+    finds("pyramid", folder, "splits")
 
 
 def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
@@ -105,5 +103,4 @@ def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
     many = recipe["flight"] | {"iterations": 20_000, "flights_per_world": 1000}
     nothing_will_do = recipe["accept"] | {"min_returned_share": 1.0}
     forge.sign(folder, recipe=recipe | {"flight": many, "accept": nothing_will_do})
-    fault = f"{SHARD} or {WORLDS}: examining it took too long"
-    assert fault in failed(folder, workers=3)["examined"]
+    finds("endless", folder, "examined", workers=3)

@@ -9,7 +9,7 @@ from scenegen.worlds.world import compile_world
 from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.conftest import built
 from tests.scenegen.verification import forge
-from tests.scenegen.verification.conftest import failed
+from tests.scenegen.verification.conftest import failed, finds
 from tests.scenegen.verification.test_verify import SHARD, WORLDS, scan_beside
 
 
@@ -23,11 +23,9 @@ def repeat_a_viewpoint(arrays):
 def test_a_viewpoint_under_another_ones_number_is_caught(folder, quick):
     """Whether or not its flight is the one of this shard's that is made again."""
     forge.edit(folder, SHARD, repeat_a_viewpoint)
-    faults = failed(folder, quick=quick)
+    for check in ("duplicates", "flights"):
+        faults = finds(check, folder, check, quick=quick)
     assert set(faults) - {"regenerated"} == {"duplicates", "flights"}
-    fault = f"{SHARD}: sample 5 has the content of {SHARD}: sample 4, expected that of another"
-    assert fault in faults["duplicates"]
-    assert "samples 4 and 5 of train are of one flight and 0 m apart" in faults["flights"]
 
 
 def scan_at(folder, position):
@@ -49,10 +47,7 @@ def test_viewpoints_nearer_than_promised_are_caught(folder, apart_m):
     arrays, _ = forge.load(folder, SHARD)
     first, second = arrays["position"][:2]
     scan_at(folder, first + apart_m * (second - first) / np.linalg.norm(second - first))
-    faults = failed(folder, quick=True)
-    assert set(faults) == {"flights"}
-    distance = f"are of one flight and {apart_m:g} m apart, expected flight.spacing_m = 1"
-    assert f"{SHARD}: samples 0 and 1 of train {distance}" in faults["flights"]
+    assert set(finds(apart_m, folder, "flights", quick=True)) == {"flights"}
 
 
 def test_a_viewpoint_beyond_where_flights_keep_is_caught(folder):
@@ -60,9 +55,7 @@ def test_a_viewpoint_beyond_where_flights_keep_is_caught(folder):
     arrays, _ = forge.load(folder, SHARD)
     first = arrays["position"][0]
     scan_at(folder, [1.9, 14.0 if first[1] < 8 else 2.0, first[2]])
-    fault = failed(folder, quick=True)["flights"]
-    assert f"{SHARD}: sample 1: its position [1.9, " in fault
-    assert "is not within [2.0, 2.0, " in fault
+    finds("edge", folder, "flights", quick=True)
 
 
 def test_earlier_scans_farther_back_than_promised_are_caught(tmp_path):
@@ -74,9 +67,7 @@ def test_earlier_scans_farther_back_than_promised_are_caught(tmp_path):
 
     assert failed(folder, quick=True) == {}
     forge.edit(folder, SHARD, move)
-    fault = failed(folder, quick=True)["flights"]
-    assert f"{SHARD}: sample 1: from scan to scan are " in fault
-    assert "expected at most mapping.scan_spacing_m = 0.4" in fault
+    finds("back", folder, "flights", quick=True)
 
 
 @pytest.mark.parametrize(
@@ -90,11 +81,10 @@ def test_a_viewpoint_that_the_recipe_rejects_is_caught(folder, name, field):
     recipe = forge.read(folder)["recipe"]
     limit = float(np.unique(shares)[:2].mean())
     forge.sign(folder, recipe=recipe | {"accept": recipe["accept"] | {name: limit}})
-    ((check, fault),) = failed(folder, quick=True).items()
+    faults = finds(name, folder, "accepted", quick=True)
+    assert set(faults) == {"accepted"}
     row = int(np.argmin(shares))
-    assert check == "accepted"
-    assert f"{SHARD}: sample {row}: a share of {shares[row]:.4g} is too small" in fault
-    assert f"accept.{name} = {limit:g}" in fault
+    assert f"{SHARD}: sample {row}: a share of {shares[row]:.4g} is" in faults["accepted"]
 
 
 def test_what_noise_loses_is_no_fault(tmp_path):

@@ -20,7 +20,7 @@ from scenegen.worlds.world import World
 from tests.command_line import refused
 from tests.lidarsim.reference import unit
 from tests.refusals import check_wording, refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.clouds.test_formats import las
 from tests.scenegen.worlds.test_place import ORIGIN, VOXEL_M, hall
 
@@ -176,7 +176,7 @@ def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     assert (states == UNKNOWN).any()
 
 
-@pytest.mark.parametrize(("name", "lines", "options"), cases("worlds/cloud_no_maps"))
+@each_case("worlds/cloud_no_maps", "name lines options")
 def test_what_is_no_map_is_refused(standing, capsys, name, lines, options):
     Path("two.txt").write_text("0 0 0\n0 0 1\n")
     Path("flat.txt").write_text("0 " * 12)
@@ -199,14 +199,14 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     (tmp_path / "a.glb").write_bytes(encode_world(drawn))
     if suffix != ".glb":
         parts = trimesh.load(tmp_path / "a.glb", force="scene")
-        parts.apply_transform([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+        parts.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         parts.to_mesh().export(file)
     place = GridSpec(shape=(60, 60, 40)), np.array([-6.03, -6.03, -1.03])
     truths = [world.truth(*place)["occupancy"] for world in (read_world(file), drawn)]
     assert_array_equal(*truths)
 
 
-@pytest.mark.parametrize(("name", "content"), cases("worlds/cloud_no_meshes"))
+@each_case("worlds/cloud_no_meshes", "name content")
 def test_what_is_no_mesh_is_refused(tmp_path, name, content):
     (tmp_path / name).write_text(content.replace("; ", "\n"))
     refuses(f"{name} {content}", read_world, tmp_path / name)

@@ -13,7 +13,7 @@ from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.world import compile_world
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 CODES = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "f": 5126}
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "f")
@@ -115,7 +115,7 @@ def test_nodes_move_what_is_below_them():
     assert_allclose(file.placed(*nodes, roots=[0]), [expected])
 
 
-@pytest.mark.parametrize("scale", [[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [-1, -2, -3]])
+@each_case("worlds/scales", "scale", json.loads)
 def test_a_mirrored_mesh_keeps_its_outside(scale):
     objects = read_gltf(File().encoded({"mesh": 0, "scale": scale})).objects()
     ((_, corners, faces),) = objects
@@ -152,7 +152,7 @@ def test_what_a_world_leaves_out_is_noted(tmp_path):
     assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, -2, 0], [2, 0, 2]], atol=1e-6)
 
 
-@pytest.mark.parametrize("change", [change for (change,) in cases("worlds/gltf")])
+@each_case("worlds/gltf", "change")
 def test_what_cannot_be_read_is_refused(tmp_path, change):
     content = File().encoded({"mesh": 0}, {}, **json.loads(change))
     (tmp_path / "a.glb").write_bytes(content)

@@ -14,7 +14,7 @@ from scenegen.verification import verify
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, run
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import built
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -48,11 +48,6 @@ def write_map(path, states, **changed):
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    return read_place(write_map(tmp_path_factory.mktemp("map") / "hall.npz", hall()))
-
-
-@pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     """Maps and one MJCF file, dealt to the three splits."""
     folder = tmp_path_factory.mktemp("places")
@@ -69,7 +64,8 @@ def dataset(tmp_path_factory):
     return built(plan, workers=1).folder
 
 
-def test_flights_keep_away_from_voxels_not_free(place, rng):
+def test_flights_keep_away_from_voxels_not_free(tmp_path, rng):
+    place = read_place(write_map(tmp_path / "hall.npz", hall()))
     cells = np.argwhere(np.pad(place.voxels.states, 6) != FREE) - 6  # beyond it, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M
     for point in rng.uniform(*place.voxels.bounds, (60, 3)):
@@ -158,7 +154,7 @@ def test_what_a_map_lacks_is_refused(tmp_path, capsys, option):
     assert not out.exists()
 
 
-@pytest.mark.parametrize(("name", "value"), cases("worlds/place"))
+@each_case("worlds/place", "name value")
 def test_damaged_npz_maps_are_refused(tmp_path, name, value):
     kind = np.uint8 if name == "states" else np.float64
     changed = {"states": hall(), name: np.array(json.loads(value), kind)}

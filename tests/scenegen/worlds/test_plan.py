@@ -6,22 +6,15 @@ import pytest
 from scenegen.draw.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
-from tests.command_line import done, run
+from tests.command_line import beside, done, run
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
 SHADES = np.random.default_rng(0).choice([0, 88, 90, 205, 206, 254], (7, 11)).astype(np.uint8)
 SHADES[[0, 6]] = SHADES[:, [0, 10]] = 205  # nothing known: cut off
-YAML = """image: plan.pgm
-mode: trinary  # as Nav2 writes it
-resolution: 0.25
-origin: [-1.5, 2.0, 0.0]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
+YAML = beside(__file__, "nav2.yaml")
 
 
 def write(folder, text=YAML, shades=SHADES):
@@ -98,7 +91,7 @@ PICTURES = {
 }
 
 
-@pytest.mark.parametrize(("old", "new"), cases("worlds/plan"))
+@each_case("worlds/plan", "old new")
 def test_a_damaged_plan_is_refused(tmp_path, old, new):
     text = YAML.replace("0.25", "1e-3") if new == "wide.pgm" else YAML
     path = write(tmp_path, text.replace(old, new))

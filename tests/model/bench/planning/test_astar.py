@@ -2,6 +2,7 @@
 means."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from lidarsim import GridSpec
 from scenegen.model.bench.planner import Lattice, plan_path
 from scenegen.model.config import PlanConfig
+from tests.scenegen import each_case
 
 GRID = GridSpec(shape=(24, 21, 14))
 
@@ -59,10 +61,7 @@ def price_of(path, cost):
 
 
 @pytest.mark.parametrize("edge_check", [False, True])
-@pytest.mark.parametrize(
-    ("step", "density", "weight"),
-    [(1, 0.55, 0.0), (1, 0.75, 0.0), (2, 0.5, 0.0), (3, 0.6, 0.0), (2, 0.3, 4.0), (3, 0.3, 10.0)],
-)
+@each_case("../model/astar", "step density weight", json.loads)
 def test_paths_are_as_short_as_dijkstras(step, density, weight, edge_check):
     """To every free node, reachable or not, weighed by the risk or not; and every path is one of
     free nodes, neighbour to neighbour."""

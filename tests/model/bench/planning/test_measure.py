@@ -36,10 +36,10 @@ def scattered(seed):
     return occupied
 
 
-def trials_in(truth, count, seed, config=PLAN, **more):
+def trials_in(truth, count, seed, **more):
     """Trials of a stream of its own."""
     rng = np.random.default_rng(seed)
-    return draw_trials(truth, GRID, config, count=count, rng=rng, **more)
+    return draw_trials(truth, GRID, PLAN, count=count, rng=rng, **more)
 
 
 def points_of(path):
@@ -81,7 +81,8 @@ def test_measurements_are_those_of_a_reference():
             result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, PLAN)
             initial, reason = plan_path(pred, goal, GRID, PLAN)
             if initial is None:
-                assert (result.success, result.cause) == (False, reason)
+                assert not result.success
+                assert result.cause == reason
                 assert np.isnan(result.length_m)
                 outcomes.add(reason)
                 continue
@@ -90,7 +91,8 @@ def test_measurements_are_those_of_a_reference():
             assert actual == pytest.approx(reference_of(path, tudf))
             before, after = is_clear(initial, truth), is_clear(path, truth)
             cause = "refined_into_obstacle" if before else "initial_collides"
-            assert (result.success, result.cause) == (after, None if after else cause)
+            assert result.success == after
+            assert result.cause == (None if after else cause)
             outcomes.add((before, after))
     assert len(outcomes - {"goal_blocked"}) == 5  # refinement saves some paths, and spoils others
 
@@ -116,7 +118,8 @@ def test_hits_are_the_paths_occupied_voxels():
     path[1, 0] += 0.2
     numbers = np.arange(truth.size).reshape(GRID.shape)[[25, 26, 30], 20, 10].tolist()
     measured = judge(Plan(path, None), path, truth, FAR, GRID)
-    assert (measured.hits, measured.hit) == (tuple(numbers), numbers[0])
+    assert measured.hits == tuple(numbers)
+    assert measured.hit == numbers[0]
     assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None
 
 
