@@ -286,30 +286,6 @@ class Movers:
         return np.maximum.reduceat(speeds, first) if len(first) else np.empty(0)
 
     @property
-    def point_speeds_mps(self) -> Floats:
-        """(M,): no point of a mover is ever faster, metres a second. Courses must repeat, and
-        headings run along a chord in every piece."""
-        lengths = np.diff(np.append(self.begin_s, 0.0))
-        last = self.piece_start[1:] - 1
-        lengths[last] = self.period_s - self.begin_s[last]
-        u = lengths[:, None]
-        heading, linear, square, cubic = np.moveaxis(self.course[:, 3:], 2, 0)
-        chord = u * (linear + u * (square + u * cubic))
-        # the least length of a heading: the distance of its chord from the origin
-        squares = np.maximum((chord * chord).sum(axis=1), 1e-300)
-        along = np.clip(-(heading * chord).sum(axis=1) / squares, 0.0, 1.0)
-        least = np.sqrt(((heading + along[:, None] * chord) ** 2).sum(axis=1))
-        # control points of its slope, a parabola, which none of its values exceeds
-        slopes = (linear, linear + u * square, linear + u * (2.0 * square + u * 3.0 * cubic))
-        turn = np.sqrt((np.stack(slopes) ** 2).sum(axis=2)).max(axis=0) / least
-        if not len(self):
-            return np.empty(0)
-        return (
-            self._fastest_in_period
-            + np.maximum.reduceat(turn, self.piece_start[:-1]) * self._radius
-        )
-
-    @property
     def bodies(self) -> tuple[Any, ...]:
         """The arguments of kernels that measure distances: courses, radii of balls about the
         origins, and the solids with their starts."""

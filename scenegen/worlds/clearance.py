@@ -123,13 +123,31 @@ class MoversClearance:
     """Distances to movers, each where it is at a time."""
 
     def __init__(self, movers: Movers):
-        """Bound how far movers reach and how fast their points are.
+        """Bound how fast any point of the movers is.
 
         Args:
-            movers: The movers; their headings run along a chord in every piece.
+            movers: The movers. Their courses repeat, and headings run along a chord in every piece.
         """
         self._arguments = movers.bodies
-        self._fastest_mps = float(movers.point_speeds_mps.max(initial=0.0))
+        lengths = np.diff(np.append(movers.begin_s, 0.0))
+        last = movers.piece_start[1:] - 1
+        lengths[last] = movers.period_s - movers.begin_s[last]
+        u = lengths[:, None]
+        start, linear, square, cubic = np.moveaxis(movers.course, 2, 0)
+        # control points of their slopes, parabolas, which no value exceeds
+        controls = (linear, linear + u * square, linear + u * (2.0 * square + u * 3.0 * cubic))
+        slopes = np.stack(controls)
+        speed, turn = (
+            np.sqrt((part * part).sum(axis=2)).max(axis=0)
+            for part in (slopes[..., :3], slopes[..., 3:])
+        )
+        # the least length of a heading: the distance of its chord from the origin
+        heading, chord = start[:, 3:], (u * (linear + u * (square + u * cubic)))[:, 3:]
+        squares = np.maximum((chord * chord).sum(axis=1), 1e-300)
+        along = np.clip(-(heading * chord).sum(axis=1) / squares, 0.0, 1.0)
+        least = np.sqrt(((heading + along[:, None] * chord) ** 2).sum(axis=1))
+        reach = np.repeat(movers.bodies[1], np.diff(movers.piece_start))
+        self._fastest_mps = float((speed + turn / least * reach).max(initial=0.0))
 
     def at(self, points: Floats, times_s: Floats) -> Floats:
         """Compute the distances of points from the nearest solid of a mover.
