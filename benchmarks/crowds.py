@@ -23,7 +23,7 @@ from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course, read_recording
 from scenegen.fly.loop import Flown
 from scenegen.model.bench.statistics import holm, paired_p
-from scenegen.model.robots import BRAKES, BRAKING
+from scenegen.model.robots import BRAKES
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 
 DENSITIES = ("light", "medium", "dense")
@@ -32,16 +32,15 @@ VEHICLE = Vehicle(radius_m=0.2, speed_mps=4, acceleration_mps2=6, tilt_deg=45)
 FLIGHTS = 2
 """Through each world of a density."""
 RULES = Rules(apart_m=12, patience=20)
-ROBOTS = ("optimistic", "forgetting", "predicting", "truth", "foreseeing")
+BRAKING = product(("optimistic", "forgetting", "predicting"), ("", BRAKES))
+ROBOTS = (*map("".join, BRAKING), "truth", "foreseeing")
+TIME = "time, s"
 FIGURES: dict[str, Callable[[Flown], float]] = {
     "success": lambda one: one.outcome == "success",
     "struck": lambda one: one.outcome == "struck",
     "collision": lambda one: one.outcome == "collision",
-    "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
-    "score": lambda one: one.score,
+    TIME: lambda one: one.time_s if one.outcome == "success" else np.nan,
 }
-AMOUNTS = ("time, s", "score")
-"""Figures that are not 1 or 0."""
 QUESTIONS = {
     "forgetting old returns": ("forgetting", "optimistic"),
     "braking for the unseen": (f"forgetting{BRAKES}", "forgetting"),
@@ -68,39 +67,33 @@ class Options(measuring.Options):
 def main() -> None:
     """Fly what is missing; print the tables, and write them beside the page."""
     given = measuring.parse(Options, worlds=1, seed=9000, densities=("light",))
-    robots = [
-        name + BRAKES * brakes
-        for name, brakes in product(ROBOTS, (False, True))
-        if not brakes or name in BRAKING
-    ]
-    with tempfile.TemporaryDirectory() as spare:
-        folder = given.flights or Path(spare)
-        folder.mkdir(parents=True, exist_ok=True)
-        found = {
-            (density, name): flown(folder, density, name, given)
-            for density, name in product(given.densities, robots)
-        }
+    folder = given.flights or Path(tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {
+        (density, name): flown(folder, density, name, given)
+        for density, name in product(given.densities, ROBOTS)
+    }
     worlds = np.repeat(np.arange(len(KINDS) * given.worlds), FLIGHTS)
     figures = {
         key: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}
         for key, flights in found.items()
     }
-    lines = []
+    lines = list[str]()
     for density in given.densities:
         rows = [
             (
                 f"`{name}`",
                 [
-                    told(values, worlds, ".2f", "amount" if what in AMOUNTS else "outcome")
+                    told(values, worlds, ".2f", "amount" if what == TIME else "outcome")
                     for what, values in figures[density, name].items()
                 ],
             )
-            for name in robots
+            for name in ROBOTS
         ]
         lines += titled(f"## Flights among movers, {density}", FIGURES, rows)
     everywhere = {
         name: np.mean([figures[density, name]["success"] for density in given.densities], axis=0)
-        for name in robots
+        for name in ROBOTS
     }
     lines += tests(everywhere, worlds)
     kinds = np.repeat(KINDS, given.worlds * FLIGHTS)

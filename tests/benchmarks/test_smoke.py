@@ -27,7 +27,7 @@ LEARNED = {
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
-    *("extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
+    *("crowds", "extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
     *("movers", "mutants", "study", "verify"),
 }
 """These take some seconds."""
