@@ -73,12 +73,12 @@ def main() -> None:
         (density, name): flown(folder, density, name, given)
         for density, name in product(given.densities, ROBOTS)
     }
-    worlds = np.repeat(np.arange(len(KINDS) * given.worlds), FLIGHTS)
+    worlds = np.arange(len(KINDS) * given.worlds).repeat(FLIGHTS)
     figures = {
         key: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}
         for key, flights in found.items()
     }
-    lines = list[str]()
+    lines = []
     for density in given.densities:
         rows = [
             (
@@ -96,9 +96,8 @@ def main() -> None:
         for name in ROBOTS
     }
     lines += tests(everywhere, worlds)
-    kinds = np.repeat(KINDS, given.worlds * FLIGHTS)
     rows = [
-        (f"`{name}`", [f"{values[kinds == kind].mean():.2f}" for kind in KINDS])
+        (f"`{name}`", [f"{mean:.2f}" for mean in values.reshape(len(KINDS), -1).mean(axis=1)])
         for name, values in everywhere.items()
     ]
     publish(given, [*lines, *titled("## Success among movers, by kind", KINDS, rows)])
@@ -123,7 +122,7 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
         robot, brakes, _ = name.partition(BRAKES)
         work = partial(fly_course, robot=robot, weights=None, brakes=bool(brakes))
         fly_courses(courses, work, name, None, file, crew_of(ALONE))
-        print(f"{density}, {name}: flown", flush=True)
+        print(file, flush=True)
     return [one for _, several in read_recording(file).courses for one in several]
 
 
