@@ -31,7 +31,7 @@ from scenegen.verification.rays import MovingAuditor
 from scenegen.worlds.recipe import preset
 from scenegen.worlds.tables import named_lidar
 from scenegen.worlds.traffic import Traffic
-from scenegen.worlds.world import World, populated
+from scenegen.worlds.world import World, with_movers
 
 TEN = Traffic(people=(6, 6), vehicles=(0, 2), drones=(3, 3))
 """Ten movers, or one less or more."""
@@ -95,14 +95,9 @@ def main() -> None:
 def moving(kind: str, seed: int) -> World:
     """A world of a kind, with movers."""
     recipe = preset(kind)
-    assert recipe.world is not None
     world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(seed))
-    zones, attempt = recipe.world.mover_zones(world.flight_bounds), 0
-    while True:
-        rng = np.random.default_rng([seed, attempt])
-        if (found := populated(world, zones, TEN, rng=rng)) is not None:
-            return found
-        attempt += 1
+    zones = recipe.mover_zones(world.flight_bounds)
+    return with_movers(world, zones, TEN, seed=[seed], name=kind)
 
 
 def scans(kind: str, world: World, rounds: int) -> None:
