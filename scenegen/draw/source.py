@@ -40,7 +40,7 @@ from scenegen.base.paths import CLOUDS, MAPS, MESHES
 from scenegen.base.reading import world_digest
 from scenegen.base.workers import Limited, run
 from scenegen.worlds.classes import By
-from scenegen.worlds.flight import POINTS, apart, around, heights
+from scenegen.worlds.flight import POINTS, Flight, apart, around, fly, heights, viewpoints
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
@@ -203,7 +203,7 @@ class SceneWorlds:
 
     def suited(self, recipe: Recipe, settled: Collection[str] = ()) -> tuple["SceneWorlds", Recipe]:
         """Adapt a recipe to maps: set `known`, allow more draws than usual, since many flights end
-        at unknown space, and find altitudes and radius of flights.
+        at unknown space, and find altitudes, radius and length of flights.
 
         Args:
             recipe: The recipe.
@@ -225,18 +225,21 @@ class SceneWorlds:
                 recipe = replace(recipe, accept=accept)
         widest: Json = {"altitude_m": EVERYWHERE, "step_m": MAP_STEP_M}
         widest = {name: value for name, value in widest.items() if name not in settled}
-        flight = replace(recipe.flight, **widest)
-        recipe = replace(recipe, flight=flight)
+        recipe = replace(recipe, flight=replace(recipe.flight, **widest))
         try:
-            fits = np.array([_fit(*named, recipe, settled) for named in self._places()])
+            fits = [_fit(*named, recipe, settled) for named in self._places()]
         except SceneError as error:
             if self.uncut is None:
                 raise
             note = f"{self.uncut.name}: all of it is for training: {error}"
             return _trained_on(self.uncut, (*self.notes, note)).suited(recipe, settled)
-        if "altitude_m" not in settled:
-            flight = replace(flight, altitude_m=(fits[:, 0].min(), fits[:, 1].max()))
-        flight = replace(flight, robot_radius_m=float(fits[:, 2].min()))
+        low, high = zip(*(flight.altitude_m for flight in fits), strict=True)
+        flight = replace(
+            recipe.flight,
+            altitude_m=(min(low), max(high)),
+            robot_radius_m=min(flight.robot_radius_m for flight in fits),
+            min_distance_m=min(flight.min_distance_m for flight in fits),
+        )
         return self, replace(recipe, flight=flight)
 
     def _places(self) -> Iterator[tuple[Place, str]]:
@@ -257,14 +260,16 @@ STARTS = 40
 """Number of starts in a map from which the widest way is searched."""
 WIDE_SHARE = 0.25
 """A robot fits in a map if this share of starts has a way as wide as it."""
+RADII, NARROWER = 4, 0.75
+"""Number of radii that are tried, and the ratio of one to the one before."""
+FLIGHTS = 20
+"""Flights tried; one of them must have enough known viewpoints."""
 SEEN_SHARE = 0.1
 """The value of `most_marked_share` that a message names admits this share of free points."""
 
 
-def _fit(
-    place: Place, name: str, recipe: Recipe, settled: Collection[str]
-) -> tuple[float, float, float]:
-    """Find altitudes and radius of flights in a map, from points that are free and known.
+def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> Flight:
+    """Find altitudes, radius and length of flights in a map, from points that are free and known.
 
     Args:
         place: The map.
@@ -273,7 +278,7 @@ def _fit(
         settled: Parameters of flights to keep.
 
     Returns:
-        Least and greatest altitude, and radius, metres.
+        The recipe's flights with these.
 
     Raises:
         SceneError: if nothing fits; it says which value would.
@@ -304,26 +309,49 @@ def _fit(
             f"known.most_marked_share = {known.most_marked_share:g} leaves no place to scan from "
             f"in {name}; {would:g} would"
         )
-    radius_m = flight.robot_radius_m
+    heights_m, radius_m = np.array(starts)[:, 2], flight.robot_radius_m
+    band = math.floor(10 * heights_m.min()) / 10, math.ceil(10 * heights_m.max()) / 10
+    flight = replace(flight, altitude_m=flight.altitude_m if "altitude_m" in settled else band)
     widths = [
         place.clearance.width_m(start, apart(around(box, start, flight), flight), radius_m)
         for start in starts[:STARTS]
     ]
-    # rounded down, to what a person would write
-    fits_m = math.floor(100 * np.quantile(widths, 1 - WIDE_SHARE)) / 100
-    if "robot_radius_m" in settled and radius_m <= max(widths):
-        fits_m = radius_m
-    if fits_m <= 0.0:
-        raise SceneError(
-            f"flight.min_distance_m = {flight.min_distance_m:g}: no way in {name} leads so far "
-            "through space that is known to be free; lower it, or scan from more places"
-        )
-    if "robot_radius_m" in settled and fits_m < radius_m:
-        raise SceneError(
-            f"flight.robot_radius_m = {radius_m:g} fits nowhere in {name}; {fits_m:g} would"
-        )
-    starts_m = np.array(starts)[:, 2]
-    return math.floor(10 * starts_m.min()) / 10, math.ceil(10 * starts_m.max()) / 10, fits_m
+    keeps = "robot_radius_m" in settled
+    first_m = radius_m if keeps else float(np.quantile(widths, 1 - WIDE_SHARE))
+    radii_m = [math.floor(100 * first_m * NARROWER**n) / 100 for n in range(RADII)]
+    scans_m = flight.viewpoints * flight.spacing_m
+    distances_m = {flight.min_distance_m}
+    if "min_distance_m" not in settled:
+        distances_m.add(min(scans_m, flight.min_distance_m))
+    most = 0
+    for tried_m, distance_m in itertools.product(filter(None, radii_m), sorted(distances_m)[::-1]):
+        tried = replace(flight, robot_radius_m=tried_m, min_distance_m=distance_m)
+        scans = _most_scans(place, replace(recipe, flight=tried))
+        if scans >= flight.viewpoints:
+            if keeps and tried_m != radius_m:
+                raise SceneError(
+                    f"flight.robot_radius_m = {radius_m:g} fits nowhere in {name}; {tried_m:g} "
+                    "would"
+                )
+            return tried
+        most = max(most, scans)
+    would = f"{most} would" if most else "lower flight.min_distance_m, or scan from more places"
+    raise SceneError(f"flight.viewpoints = {flight.viewpoints} fits nowhere in {name}; {would}")
+
+
+def _most_scans(place: Place, recipe: Recipe) -> int:
+    """Count the known viewpoints of that one of a few flights which has most, up to a flight's."""
+    flight, rng, most = recipe.flight, np.random.default_rng(0), 0
+    for _ in range(FLIGHTS):
+        path = fly(place, flight, rng=rng, sees=recipe.sees(place))
+        if path is not None:
+            route, flown = viewpoints(path, flight.spacing_m, rng=rng)
+            poses = [route.pose(metres, recipe.mapping) for metres in flown]
+            known = recipe.known or Known()
+            most = max(most, sum(place.is_known(pose, recipe.lidar, known) for pose in poses))
+        if most >= flight.viewpoints:
+            break
+    return most
 
 
 def _trained_on(scene: Scene, notes: tuple[str, ...]) -> SceneWorlds:
