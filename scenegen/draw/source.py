@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from lidarsim import Pose
 from lidarsim.grid import Floats
 from scenegen import SPLITS
 from scenegen.base.errors import (
@@ -258,7 +259,7 @@ MAP_STEP_M = 0.5
 """Default of `step_m` in maps, which are denser than drawn worlds, metres."""
 STARTS = 40
 """Number of starts in a map from which the widest way is searched."""
-WIDE_SHARE = 0.25
+WIDE_SHARE = 0.1
 """A robot fits in a map if this share of starts has a way as wide as it."""
 RADII, NARROWER = 4, 0.75
 """Number of radii that are tried, and the ratio of one to the one before."""
@@ -317,7 +318,9 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
         for start in starts[:STARTS]
     ]
     keeps = "robot_radius_m" in settled
-    first_m = radius_m if keeps else float(np.quantile(widths, 1 - WIDE_SHARE))
+    first_m = float(np.quantile(widths, 1 - WIDE_SHARE))
+    if keeps and radius_m <= max(widths):
+        first_m = radius_m
     radii_m = [math.floor(100 * first_m * NARROWER**n) / 100 for n in range(RADII)]
     scans_m = flight.viewpoints * flight.spacing_m
     distances_m = {flight.min_distance_m}
@@ -349,10 +352,18 @@ def _most_scans(place: Place, recipe: Recipe) -> int:
         if path is not None:
             route, flown = viewpoints(path, flight.spacing_m, rng=rng)
             poses = [route.pose(metres, recipe.mapping) for metres in flown]
-            counts.append(sum(place.is_known(pose, recipe.lidar, known) for pose in poses))
+            counts.append(sum(_is_known(place, pose, recipe, known) for pose in poses))
         if (most := sorted(counts)[-ENOUGH]) >= flight.viewpoints:
             break
     return most
+
+
+def _is_known(place: Place, pose: Pose, recipe: Recipe, known: Known) -> bool:
+    """Tell whether enough of a map is known at a viewpoint."""
+    if not place.is_known(pose, recipe.lidar, known):
+        return False
+    truth = place.truth(recipe.grid, recipe.mapping.origin(recipe.grid, pose))
+    return "known" not in truth or bool(truth["known"].mean() >= known.least_share)
 
 
 def _trained_on(scene: Scene, notes: tuple[str, ...]) -> SceneWorlds:

@@ -469,6 +469,8 @@ class PlaceClearance(Clearance):
             The greatest clearance that a robot may keep on the way, metres; 0 if there is none.
         """
         states, voxel_m, origin, opened = self._arguments
+        # the start limits the width, too
+        cap_m = min(cap_m, self.at(*start))
         reach, margin = math.ceil(length_m / voxel_m), math.ceil(cap_m / voxel_m)
         begin = np.floor((start - origin) / voxel_m).astype(int)
         low = np.maximum(begin - reach - margin - 1, 0)
