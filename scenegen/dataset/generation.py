@@ -259,8 +259,6 @@ def plan_generation(
         elif recipe_file is not None:
             settled = read_toml(recipe_file).get("flight", ())
         source, base_recipe = source.suited(base_recipe, settled)
-        for line in source.notes:
-            report(line)
         name = Path(scene).stem
         single_world = sum(map(len, source.scenes.values())) == 1
     elif base_recipe.world is None:
@@ -274,6 +272,9 @@ def plan_generation(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
             f"--{', --'.join(base_recipe.parts)}"
         )
+    if isinstance(source, SceneWorlds):
+        for line in source.notes:
+            report(line)
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)

@@ -351,8 +351,14 @@ def _most_scans(place: Place, recipe: Recipe) -> int:
         path = fly(place, flight, rng=rng, sees=recipe.sees(place))
         if path is not None:
             route, flown = viewpoints(path, flight.spacing_m, rng=rng)
-            poses = [route.pose(metres, recipe.mapping) for metres in flown]
-            counts.append(sum(_is_known(place, pose, recipe, known) for pose in poses))
+            accepted = list[Floats]()
+            for pose in (route.pose(metres, recipe.mapping) for metres in flown):
+                gaps = [((pose.position - other) ** 2).sum() for other in accepted]
+                if min(gaps, default=math.inf) >= flight.spacing_m**2 and _is_known(
+                    place, pose, recipe, known
+                ):
+                    accepted.append(pose.position)
+            counts.append(len(accepted))
         if (most := sorted(counts)[-ENOUGH]) >= flight.viewpoints:
             break
     return most
