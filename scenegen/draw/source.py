@@ -204,7 +204,8 @@ class SceneWorlds:
 
     def suited(self, recipe: Recipe, settled: Collection[str] = ()) -> tuple["SceneWorlds", Recipe]:
         """Adapt a recipe to maps: set `known`, allow more draws than usual, since many flights end
-        at unknown space, and find altitudes, radius and length of flights.
+        at unknown space, and find altitudes, radius, length and viewpoints of
+        flights.
 
         Args:
             recipe: The recipe.
@@ -240,6 +241,7 @@ class SceneWorlds:
             altitude_m=(min(low), max(high)),
             robot_radius_m=min(flight.robot_radius_m for flight in fits),
             min_distance_m=min(flight.min_distance_m for flight in fits),
+            viewpoints=min(flight.viewpoints for flight in fits),
         )
         return self, replace(recipe, flight=flight)
 
@@ -270,7 +272,8 @@ SEEN_SHARE = 0.1
 
 
 def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> Flight:
-    """Find altitudes, radius and length of flights in a map, from points that are free and known.
+    """Find altitudes, radius, length and viewpoints of flights in a map, from points that are free
+    and known.
 
     Args:
         place: The map.
@@ -326,7 +329,7 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
     distances_m = {flight.min_distance_m}
     if "min_distance_m" not in settled:
         distances_m.add(min(scans_m, flight.min_distance_m))
-    most = 0
+    most, best = 0, flight
     for tried_m, distance_m in itertools.product(filter(None, radii_m), sorted(distances_m)[::-1]):
         tried = replace(flight, robot_radius_m=tried_m, min_distance_m=distance_m)
         scans = _most_scans(place, replace(recipe, flight=tried))
@@ -337,7 +340,10 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
                     "would"
                 )
             return tried
-        most = max(most, scans)
+        if scans > most:
+            most, best = scans, replace(tried, viewpoints=scans)
+    if most > 1 and "viewpoints" not in settled and not keeps:
+        return best
     would = f"{most} would" if most else "lower flight.min_distance_m, or scan from more places"
     raise SceneError(f"flight.viewpoints = {flight.viewpoints} fits nowhere in {name}; {would}")
 
