@@ -253,18 +253,11 @@ def plan_generation(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
-        settled: Collection[str] = ()
-        if isinstance(recipe, Recipe):
-            settled = field_names(Flight)
-        elif recipe_file is not None:
-            settled = read_toml(recipe_file).get("flight", ())
-        source, base_recipe = source.suited(base_recipe, settled)
         name = Path(scene).stem
-        single_world = sum(map(len, source.scenes.values())) == 1
     elif base_recipe.world is None:
         raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
     else:
-        source, single_world = DrawnWorlds(base_recipe), False
+        source = DrawnWorlds(base_recipe)
         name = base_recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
     base_recipe = _with_parts(base_recipe, parts, source)
     if base_recipe.parts and isinstance(source, SceneWorlds) and source.maps:
@@ -272,9 +265,17 @@ def plan_generation(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
             f"--{', --'.join(base_recipe.parts)}"
         )
+    single_world = False
     if isinstance(source, SceneWorlds):
+        settled: Collection[str] = ()
+        if isinstance(recipe, Recipe):
+            settled = field_names(Flight)
+        elif recipe_file is not None:
+            settled = read_toml(recipe_file).get("flight", ())
+        source, base_recipe = source.suited(base_recipe, settled)
         for line in source.notes:
             report(line)
+        single_world = sum(map(len, source.scenes.values())) == 1
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)
