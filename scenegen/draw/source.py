@@ -321,10 +321,11 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
         for start in starts[:STARTS]
     ]
     keeps = "robot_radius_m" in settled
-    first_m = float(np.quantile(widths, 1 - WIDE_SHARE))
+    wide_m = float(np.quantile(widths, 1 - WIDE_SHARE))
+    # rounded down, to what a person would write
+    radii_m = [math.floor(100 * wide_m * NARROWER**n + 1e-9) / 100 for n in range(RADII)]
     if keeps and radius_m <= max(widths):
-        first_m = radius_m
-    radii_m = [math.floor(100 * first_m * NARROWER**n) / 100 for n in range(RADII)]
+        radii_m = [radius_m, *(smaller for smaller in radii_m if smaller < radius_m)]
     scans_m = flight.viewpoints * flight.spacing_m
     distances_m = {flight.min_distance_m}
     if "min_distance_m" not in settled:
