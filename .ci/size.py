@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 321_000, "benchmarks": 33_000, "tests": 216_500}
+TOKENS = {"product": 324_500, "benchmarks": 33_000, "tests": 216_500}
 FILES = 229
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what

@@ -63,8 +63,7 @@ def drawn(
     counts = {"train": 0, "val": val, "test": 0} | {split: maps}
     source: Source = DrawnWorlds(recipe)
     if scenes is not None:
-        source = read_scenes(scenes, counts, seed=seed)
-        recipe = source.suited(recipe)
+        source, recipe = read_scenes(scenes, counts, seed=seed).suited(recipe)
     build(plan_dataset(folder, recipe, source, seed=seed, counts=counts))
     return Dataset(folder)
 

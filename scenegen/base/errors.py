@@ -211,7 +211,7 @@ def empty_split(split: str) -> str:
     option = "--n" if split == "train" else f"--{split}"
     return (
         f"its {split} split is empty; generate with {option} (scenes are split by world: give "
-        "three or more)"
+        "three or more, or one map, which is cut into regions)"
     )
 
 

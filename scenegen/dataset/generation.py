@@ -2,7 +2,7 @@
 datasets."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,10 @@ from scenegen.dataset.state import Plan
 from scenegen.draw.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
 from scenegen.draw.parts import resolved
 from scenegen.draw.source import DrawnWorlds, SceneWorlds, Source, read_scenes
+from scenegen.worlds.flight import Flight
 from scenegen.worlds.kinds import graded
 from scenegen.worlds.recipe import Recipe, preset, read_recipe
-from scenegen.worlds.tables import named_lidar
+from scenegen.worlds.tables import field_names, named_lidar, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,20 +243,18 @@ def plan_generation(
             allow_unseen=allow_unseen,
             # labels by class or material need the names of materials
             materials=parts.get("labels") in ("class", "material"),
+            voxel_m=base_recipe.grid.voxel_m,
         )
-        for line in source.notes:
-            report(line)
         if source.maps and storage["engine"] != DEFAULT:
             raise SceneError(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
-        base_recipe, name = source.suited(base_recipe), Path(scene).stem
-        single_world = sum(map(len, source.scenes.values())) == 1
+        name = Path(scene).stem
     elif base_recipe.world is None:
         raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
     else:
-        source, single_world = DrawnWorlds(base_recipe), False
+        source = DrawnWorlds(base_recipe)
         name = base_recipe.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
     base_recipe = with_parts(base_recipe, parts, source)
     if base_recipe.parts and isinstance(source, SceneWorlds) and source.maps:
@@ -263,7 +262,17 @@ def plan_generation(
             f"{source.maps[0]}: is a map of voxels, which has no geoms; leave out "
             f"--{', --'.join(base_recipe.parts)}"
         )
+    single_world = False
     if isinstance(source, SceneWorlds):
+        settled: Collection[str] = ()
+        if isinstance(recipe, Recipe):
+            settled = field_names(Flight)
+        elif recipe_file is not None:
+            settled = read_toml(recipe_file).get("flight", ())
+        source, base_recipe = source.suited(base_recipe, settled)
+        for line in source.notes:
+            report(line)
+        single_world = sum(map(len, source.scenes.values())) == 1
         source = source.moving(base_recipe, seed)
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)

@@ -245,7 +245,7 @@ def _fly(
     `rejected`, if no flight is accepted."""
     flight, reason = recipe.flight, "no_flight"
     for _ in range(flight.flights_per_world):
-        path = fly(world, flight, rng=rng)
+        path = fly(world, flight, rng=rng, sees=recipe.sees(world))
         if path is None:
             continue
         route, candidates = viewpoints(path, flight.spacing_m, rng=rng)

@@ -5,16 +5,19 @@ A source maps a unit (one flight and its samples) to the world that it flies thr
 
 import functools
 import itertools
+import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.random import Generator
 
+from lidarsim import Pose
+from lidarsim.grid import Floats
 from scenegen import SPLITS
 from scenegen.base.errors import (
     CorruptFileError,
@@ -27,6 +30,7 @@ from scenegen.base.errors import (
 from scenegen.base.files import Json, real_path
 from scenegen.base.limits import (
     MAX_ARCHIVE_BYTES,
+    MAX_DRAWN_M,
     MAX_GEOMS,
     MAX_MEMBERS,
     SCENE_BYTES,
@@ -36,10 +40,12 @@ from scenegen.base.paths import CLOUDS, MAPS, MESHES
 from scenegen.base.reading import world_digest
 from scenegen.base.workers import Limited, run
 from scenegen.worlds.classes import By
+from scenegen.worlds.flight import POINTS, Flight, apart, around, fly, heights, viewpoints
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
+from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Acceptance, Recipe, preset
-from scenegen.worlds.scene import Reading, Scene, named, read_file
+from scenegen.worlds.scene import Reading, Scene, cut, named, read_file
 from scenegen.worlds.traffic import PRESETS
 from scenegen.worlds.world import (
     AnyWorld,
@@ -52,6 +58,11 @@ from scenegen.worlds.world import (
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """Relative numbers of worlds of each split, when the worlds of a folder are divided."""
+
+REGIONS = {"train": 3, "val": 1, "test": 1}
+"""Relative volumes of free space of each split's region, when a single map is cut."""
+GAP_M = 1.0
+"""Distance of regions, metres."""
 
 
 class Source(Protocol):
@@ -143,6 +154,8 @@ class SceneWorlds:
     """Worlds of each split."""
     notes: tuple[str, ...] = ()
     """Sentences about parts of files that were left out or interpreted."""
+    uncut: Scene | None = None
+    """The map of whose regions the scenes are, if it may serve for training alone instead."""
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """Find the world of a unit; see `Source.number`.
@@ -222,17 +235,186 @@ class SceneWorlds:
         """Names of the worlds that are maps of real places."""
         return [scene.name for scenes in self.scenes.values() for scene in scenes if scene.is_map]
 
-    def suited(self, recipe: Recipe) -> Recipe:
-        """Adapt a recipe to maps: set `known`, and allow more draws than usual, since many flights
-        end at unknown space."""
+    def suited(self, recipe: Recipe, settled: Collection[str] = ()) -> tuple["SceneWorlds", Recipe]:
+        """Adapt a recipe to maps: set `known`, allow more draws than usual, since many flights end
+        at unknown space, and find altitudes, radius, length and viewpoints of
+        flights.
+
+        Args:
+            recipe: The recipe.
+            settled: Parameters of flights to keep.
+
+        Returns:
+            The worlds, and the recipe. A map is not cut into regions if flights do not fit in each,
+            and `uncut` may serve.
+
+        Raises:
+            SceneError: if no flight fits in one of the maps.
+        """
         if not self.maps:
-            return recipe
+            return self, recipe
         recipe = replace(recipe, known=recipe.known or Known())
         if recipe.accept.max_draws == Acceptance.max_draws:
             accept = replace(recipe.accept, max_draws=MAP_DRAWS)
             with suppress(ValueError):  # beyond MAX_SEARCHED: keep the recipe's draws
-                return replace(recipe, accept=accept)
-        return recipe
+                recipe = replace(recipe, accept=accept)
+        widest: Json = {"altitude_m": EVERYWHERE, "step_m": MAP_STEP_M}
+        widest = {name: value for name, value in widest.items() if name not in settled}
+        recipe = replace(recipe, flight=replace(recipe.flight, **widest))
+        try:
+            fits = [_fit(*named, recipe, settled) for named in self._places()]
+        except SceneError as error:
+            if self.uncut is None:
+                raise
+            note = f"{self.uncut.name}: all of it is for training: {error}"
+            return _trained_on(self.uncut, (*self.notes, note)).suited(recipe, settled)
+        low, high = zip(*(flight.altitude_m for flight in fits), strict=True)
+        flight = replace(
+            recipe.flight,
+            altitude_m=(min(low), max(high)),
+            robot_radius_m=min(flight.robot_radius_m for flight in fits),
+            min_distance_m=min(flight.min_distance_m for flight in fits),
+            viewpoints=min(flight.viewpoints for flight in fits),
+        )
+        return self, replace(recipe, flight=flight)
+
+    def _places(self) -> Iterator[tuple[Place, str]]:
+        """The maps, and their names for messages."""
+        rng, is_cut = np.random.default_rng(0), len(set(self.maps)) < len(self.maps)
+        for split, scenes in self.scenes.items():
+            for number, scene in enumerate(scenes):
+                if scene.is_map:
+                    place: Any = self.world(split, number, rng=rng)
+                    yield place, f"{scene.name}{f' ({split})' * is_cut}"
+
+
+EVERYWHERE = (-MAX_DRAWN_M, MAX_DRAWN_M)
+"""Altitudes of flights in maps, before they are found."""
+MAP_STEP_M = 0.5
+"""Default of `step_m` in maps, which are denser than drawn worlds, metres."""
+STARTS = 40
+"""Number of starts in a map from which the widest way is searched."""
+WIDE_SHARE = 0.1
+"""A robot fits in a map if this share of starts has a way as wide as it."""
+RADII, NARROWER = 4, 0.75
+"""Number of radii that are tried, and the ratio of one to the one before."""
+FLIGHTS, ENOUGH = 20, 2
+"""Flights tried, and how many of them must have enough known viewpoints."""
+SEEN_SHARE = 0.1
+"""The value of `most_marked_share` that a message names admits this share of free points."""
+
+
+def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> Flight:
+    """Find altitudes, radius, length and viewpoints of flights in a map, from points that are free
+    and known.
+
+    Args:
+        place: The map.
+        name: Its name, for messages.
+        recipe: Bounds of both.
+        settled: Parameters of flights to keep.
+
+    Returns:
+        The recipe's flights with these.
+
+    Raises:
+        SceneError: if nothing fits; it says which value would.
+    """
+    flight, known = recipe.flight, recipe.known or Known()
+    box, bounds = heights(place, flight), place.flight_bounds[:, 2].tolist()
+    if not box[0, 2] < box[1, 2]:
+        raise SceneError(
+            f"flight.altitude_m = {list(flight.altitude_m)}: {name} is not free there; {bounds} "
+            "would do"
+        )
+    drawn = np.random.default_rng(0).uniform(box[0], box[1], (POINTS, 3))
+    points = [point for point in drawn if place.clearance.at(*point) > 0.0]
+    if not points:
+        raise SceneError(f"{name}: hardly any of it is free between {box[0, 2]} and {box[1, 2]} m")
+
+    def admitted(share: float) -> list[Floats]:
+        return list(
+            filter(
+                replace(recipe, known=replace(known, most_marked_share=share)).sees(place), points
+            )
+        )
+
+    if not (starts := admitted(known.most_marked_share)):
+        shares = np.arange(known.most_marked_share, 1.0, 0.05)[1:].round(2).tolist()
+        would = next((s for s in shares if len(admitted(s)) >= SEEN_SHARE * len(points)), 1.0)
+        raise SceneError(
+            f"known.most_marked_share = {known.most_marked_share:g} leaves no place to scan from "
+            f"in {name}; {would:g} would"
+        )
+    heights_m, radius_m = np.array(starts)[:, 2], flight.robot_radius_m
+    band = math.floor(10 * heights_m.min()) / 10, math.ceil(10 * heights_m.max()) / 10
+    flight = replace(flight, altitude_m=flight.altitude_m if "altitude_m" in settled else band)
+    widths = [
+        place.clearance.width_m(start, apart(around(box, start, flight), flight), radius_m)
+        for start in starts[:STARTS]
+    ]
+    keeps = "robot_radius_m" in settled
+    wide_m = float(np.quantile(widths, 1 - WIDE_SHARE))
+    # rounded down, to what a person would write
+    radii_m = [math.floor(100 * wide_m * NARROWER**n + 1e-9) / 100 for n in range(RADII)]
+    if keeps and radius_m <= max(widths):
+        radii_m = [radius_m, *(smaller for smaller in radii_m if smaller < radius_m)]
+    scans_m = flight.viewpoints * flight.spacing_m
+    distances_m = {flight.min_distance_m}
+    if "min_distance_m" not in settled:
+        distances_m.add(min(scans_m, flight.min_distance_m))
+    most, best = 0, flight
+    for tried_m, distance_m in itertools.product(filter(None, radii_m), sorted(distances_m)[::-1]):
+        tried = replace(flight, robot_radius_m=tried_m, min_distance_m=distance_m)
+        scans = _most_scans(place, replace(recipe, flight=tried))
+        if scans >= flight.viewpoints:
+            if keeps and tried_m != radius_m:
+                raise SceneError(
+                    f"flight.robot_radius_m = {radius_m:g} fits nowhere in {name}; {tried_m:g} "
+                    "would"
+                )
+            return tried
+        if scans > most:
+            most, best = scans, replace(tried, viewpoints=scans)
+    if most > 1 and "viewpoints" not in settled and not keeps:
+        return best
+    would = f"{most} would" if most else "lower flight.min_distance_m, or scan from more places"
+    raise SceneError(f"flight.viewpoints = {flight.viewpoints} fits nowhere in {name}; {would}")
+
+
+def _most_scans(place: Place, recipe: Recipe) -> int:
+    """Count the known viewpoints of flights: so many have `ENOUGH` of those that are tried, or
+    more."""
+    flight, known, rng = recipe.flight, recipe.known or Known(), np.random.default_rng(0)
+    counts = [0] * ENOUGH
+    for _ in range(FLIGHTS):
+        path = fly(place, flight, rng=rng, sees=recipe.sees(place))
+        if path is not None:
+            route, flown = viewpoints(path, flight.spacing_m, rng=rng)
+            accepted = list[Floats]()
+            for pose in (route.pose(metres, recipe.mapping) for metres in flown):
+                gaps = [((pose.position - other) ** 2).sum() for other in accepted]
+                if min(gaps, default=math.inf) >= flight.spacing_m**2 and _is_known(
+                    place, pose, recipe, known
+                ):
+                    accepted.append(pose.position)
+            counts.append(len(accepted))
+        if (most := sorted(counts)[-ENOUGH]) >= flight.viewpoints:
+            break
+    return most
+
+
+def _is_known(place: Place, pose: Pose, recipe: Recipe, known: Known) -> bool:
+    """Tell whether enough of a map is known at a viewpoint."""
+    if not place.is_known(pose, recipe.lidar, known):
+        return False
+    truth = place.truth(recipe.grid, recipe.mapping.origin(recipe.grid, pose))
+    return "known" not in truth or bool(truth["known"].mean() >= known.least_share)
+
+
+def _trained_on(scene: Scene, notes: tuple[str, ...]) -> SceneWorlds:
+    """A single world, for training."""
+    return SceneWorlds({**dict.fromkeys(SPLITS, ()), "train": (scene,)}, notes)
 
 
 def read_world(path: str | Path, report: Callable[[str], None] | None = None) -> AnyWorld:
@@ -299,18 +481,22 @@ def read_scenes(
     seed: int,
     allow_unseen: bool = False,
     materials: bool = False,
+    voxel_m: float = 0.0,
 ) -> SceneWorlds:
-    """Read worlds from files, and divide them among the splits by `SHARES`.
+    """Read worlds from files, and divide them among the splits by `SHARES`. A single map is cut
+    into regions, by `REGIONS`.
 
     The division depends only on the names of the files, the seed, and which splits are not empty.
     It does not depend on the number of samples.
 
     Args:
         path: An MJCF file, a mesh, a map of a real place, a folder of these, or a point cloud.
-        counts: Number of samples of each split; None for a default if there are several worlds.
+        counts: Number of samples of each split; None for a default if there are several worlds, or
+            regions.
         seed: Seed of the division.
         allow_unseen: Whether worlds may have geoms that rays cannot see.
         materials: Whether worlds keep the names of their materials.
+        voxel_m: Edge of a sample's voxel, metres; regions are at least this far apart.
 
     Raises:
         SceneError: if a file cannot be used, two are the same world, or there are fewer worlds than
@@ -333,8 +519,14 @@ def read_scenes(
         else []
     )
     notes += [note for scene in scenes.values() for note in scene.notes]
-    several = len(scenes) > 1
+    lone = next(iter(scenes.values())) if len(scenes) == 1 else None
+    several = lone is None or lone.is_map
     splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
+    if lone is not None and lone.is_map and len(splits) > 1:
+        worlds: dict[str, tuple[Scene, ...]] = dict.fromkeys(SPLITS, ())
+        regions = cut(lone, [REGIONS[split] for split in splits], max(GAP_M, voxel_m))
+        worlds |= {split: (region,) for split, region in zip(splits, regions, strict=True)}
+        return SceneWorlds(worlds, tuple(notes), None if counts["val"] or counts["test"] else lone)
     if len(scenes) < len(splits):
         raise SceneError(
             f"{path}: {plural(len(scenes), 'worlds')} for {len(splits)} splits, and no two splits "

@@ -261,8 +261,7 @@ def component_of(entry: Any, *, seed: int, split: str, engine: str) -> Component
         elif path.suffix == ".toml":
             recipe = read_recipe(path)
         else:
-            source = _scenes(path, seed)
-            recipe = source.suited(preset("scene"))
+            source, recipe = _scenes(path, seed).suited(preset("scene"))
     else:
         raise RecipeError(
             f"stream of {short_repr(entry)}: expected a kind's name, a recipe or its file, an "
@@ -285,8 +284,8 @@ def component_of(entry: Any, *, seed: int, split: str, engine: str) -> Component
 
 
 def _scenes(path: Path, seed: int) -> SceneWorlds:
-    """Worlds of a file, all for training; or of a folder, divided among the three splits."""
-    counts = dict.fromkeys(SPLITS, 1)
+    """Worlds of a file or folder, divided as `generate` does."""
+    counts: dict[str, int | None] = dict.fromkeys(SPLITS, 1)
     if path.is_dir():
         if len(world_files(path)) < MIN_SCENES:
             raise SceneError(
@@ -294,8 +293,7 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
                 "add worlds, or give one file, which is all for train"
             )
     else:
-        # a single world can serve one split only
-        counts |= {"val": 0, "test": 0}
+        counts |= {"val": None, "test": None}
     return read_scenes(path, counts, seed=seed)
 
 

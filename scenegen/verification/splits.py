@@ -2,6 +2,7 @@
 near-duplicates."""
 
 import functools
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import VoxelMap
-from lidarsim.grid import Ints, Mask
+from lidarsim.grid import Floats, Ints, Mask
 from scenegen import SPLITS
-from scenegen.base.errors import CorruptFileError, GuardError, reraise_as
+from scenegen.base.errors import CorruptFileError, GuardError, printable, reraise_as
 from scenegen.base.limits import GUARD_BYTES, GUARD_S
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import Layout, ShardFile, open_shard
@@ -124,7 +125,7 @@ Place = tuple[int, int]
 
 
 def _digest_worlds(worlds: Worlds, page: Page) -> None:
-    digests, numbers = list[bytes](), list[int]()
+    digests, numbers, boxes = list[bytes](), list[int](), dict[int, Floats]()
     for number in sorted(worlds.documents):
         page.count(worlds=1)
         try:
@@ -133,13 +134,14 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
                 digests.append(worlds.outlines[number])
             elif isinstance(solids := worlds.compile(number), VoxelMap):
                 digests.append(map_digest(solids))
+                boxes[number] = solids.bounds
             else:
                 digests.append(geometry_digest(solids))
             numbers.append(number)
         except CorruptFileError as error:
             page.fault(str(error))
     # joined to one value: there may be millions of worlds
-    page.kept.append((worlds.task.number, b"".join(digests), np.array(numbers, np.int32)))
+    page.kept.append((worlds.task.number, b"".join(digests), np.array(numbers, np.int32), boxes))
 
 
 def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]:
@@ -152,7 +154,7 @@ def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]
     Yields:
         The split and the digest of each world.
     """
-    for number, digests, _ in page.kept:
+    for number, digests, *_ in page.kept:
         for first in range(0, len(digests), DIGEST_BYTES):
             yield contract.shards[number].split, digests[first : first + DIGEST_BYTES]
 
@@ -161,11 +163,11 @@ def _in_one_split(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
     digests = np.frombuffer(
-        b"".join(shard_digests for _, shard_digests, _ in page.kept), f"S{DIGEST_BYTES}"
+        b"".join(shard_digests for _, shard_digests, *_ in page.kept), f"S{DIGEST_BYTES}"
     )
-    worlds = np.concatenate([numbers for _, _, numbers in page.kept])
+    worlds = np.concatenate([numbers for _, _, numbers, _ in page.kept])
     shards = np.repeat(
-        [shard for shard, _, _ in page.kept], [len(numbers) for _, _, numbers in page.kept]
+        [shard for shard, *_ in page.kept], [len(numbers) for _, _, numbers, _ in page.kept]
     )
     splits = [entry.split for entry in contract.shards]
     order = np.argsort(digests, kind="stable")  # equal digests stay in the order of shards
@@ -177,6 +179,27 @@ def _in_one_split(contract: Manifest, page: Page) -> None:
             split == first_split,
             f"world {worlds[second]} of {split} has the same solids as world {worlds[first]} of "
             f"{first_split}, expected another one",
+        )
+    _regions_apart(contract, page)
+
+
+def _regions_apart(contract: Manifest, page: Page) -> None:
+    """Compare maps of one file in different splits: no voxel of a sample may reach into both."""
+    boxes = {
+        (listed[number].file, contract.shards[shard].split): box
+        for shard, _, _, shard_boxes in page.kept
+        for listed in ((contract.scenes or {}).get(contract.shards[shard].split, []),)
+        for number, box in shard_boxes.items()
+        if number < len(listed)
+    }
+    for (first, second), (box, other) in zip(
+        itertools.combinations(boxes, 2), itertools.combinations(boxes.values(), 2), strict=True
+    ):
+        gap_m = np.maximum(box[0] - other[1], other[0] - box[1]).max()
+        page.expect(
+            first[0] != second[0] or gap_m > contract.grid.voxel_m * (1 - 1e-9),
+            f"the regions of {printable(first[0])} in {first[1]} and {second[1]} are {gap_m:.6g} m "
+            f"apart, expected at least a voxel of {contract.grid.voxel_m:g} m",
         )
 
 

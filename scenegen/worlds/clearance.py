@@ -1,6 +1,7 @@
 """Distances of points and straight motions from the solids of a world: the collision check of
 flights."""
 
+import heapq
 import math
 from typing import Any
 
@@ -294,6 +295,46 @@ def _from_voxels(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
                     w = max(max(c - sz, sz - (c + 1)), 0.0)
                     nearest = min(nearest, math.sqrt(u * u + v * v + w * w))
     return nearest * voxel_m
+
+
+@kernel
+def widest(begin, reach, cap_m, arguments):
+    """Compute the width of the widest way through a map's free voxels, from middle to middle.
+
+    Prim's search (1957): the widest voxel first, of equally wide ones the farthest.
+
+    Args:
+        begin: The first voxel, three numbers.
+        reach: The way ends this many voxels away.
+        cap_m: Widths are capped at this, metres.
+        arguments: States (nx, ny, nz), `voxel_m`, `origin` and `opened`, as of `PlaceClearance`.
+
+    Returns:
+        The way's least distance to voxels that are not free, metres; 0 if there is no way.
+    """
+    states, voxel_m, origin, _ = arguments
+    seen = np.zeros(states.shape, np.bool_)
+    width, waiting = cap_m, [(-cap_m, 0, *begin)]
+    while len(waiting) > 0:
+        lack, far, i, j, k = heapq.heappop(waiting)
+        width = min(width, -lack)
+        if -far >= reach * reach or width <= 0.0:
+            return width
+        for d in range(6):
+            step = 1 - 2 * (d & 1)
+            a, b, c = i + step * (d < 2), j + step * (d // 2 == 1), k + step * (d > 3)
+            inside = 0 <= a < len(states) and 0 <= b < states.shape[1] and 0 <= c < states.shape[2]
+            if inside and not seen[a, b, c]:
+                seen[a, b, c] = True
+                x, y, z = (
+                    origin[0] + (a + 0.5) * voxel_m,
+                    origin[1] + (b + 0.5) * voxel_m,
+                    origin[2] + (c + 0.5) * voxel_m,
+                )
+                free = _clearance(x, y, z, cap_m, 0.0, arguments)
+                far = (a - begin[0]) ** 2 + (b - begin[1]) ** 2 + (c - begin[2]) ** 2
+                heapq.heappush(waiting, (-free, -far, a, b, c))
+    return 0.0
 
 
 @kernel

@@ -2,8 +2,10 @@
 tilt there."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -27,6 +29,7 @@ from scenegen.base.limits import (
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.place import LOCAL, Place
 from scenegen.worlds.world import AnyWorld
 
 GRAVITY = 9.81
@@ -95,7 +98,13 @@ class Flight:
         return box
 
 
-def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
+Sees = Callable[[Floats], bool]
+"""Tells whether enough of a map is known around a point (3,), world metres, to scan there."""
+
+
+def fly(
+    world: AnyWorld, flight: Flight, *, rng: Generator, sees: Sees | None = None
+) -> Floats | None:
     """Draw a collision-free path between a random start and goal by RRT (LaValle 1998) as OMPL has
     it.
 
@@ -106,16 +115,25 @@ def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
         world: The world.
         flight: Parameters of the flight.
         rng: Draws start, goal and seed.
+        sees: In a map of a real place, both ends of the path must pass it, and heights are those of
+            `flight`.
 
     Returns:
         The path (n, 3), metres; None if none was found.
     """
     clearance = world.clearance
-    bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
-    ends = _start_and_goal(clearance, bounds, flight, rng=rng)
+    planner_type = og.RRT
+    if sees is None or not isinstance(world, Place):
+        bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
+        ends = _start_and_goal(clearance, bounds, flight, rng=rng)
+    else:
+        bounds, ends = _ends_in_map(world, flight, sees, rng=rng)
+        planner_type = og.RRTConnect
     # drawn even without ends, so that later draws do not depend on them
     seed = int(rng.integers(1, 2**31))
-    solution = None if ends is None else connect(clearance, bounds, flight, ends, seed)
+    solution = (
+        None if ends is None else connect(clearance, bounds, flight, ends, seed, planner_type)
+    )
     return None if solution is None else points_of(solution[1])
 
 
@@ -125,6 +143,7 @@ def connect(
     flight: Flight,
     ends: tuple[Floats, Floats],
     seed: int,
+    planner_type: Any = og.RRT,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
     """Search a path between two points by RRT.
 
@@ -134,6 +153,8 @@ def connect(
         flight: Radius of the robot, and the planner's parameters.
         ends: Start and goal, (3,) each.
         seed: Seed of OMPL's generator.
+        planner_type: OMPL's class of the planner: RRT, or RRTConnect (Kuffner and LaValle 2000),
+            which finds more of the ways through dense maps.
 
     Returns:
         OMPL's path, with the space that checks its motions; None if RRT finds none.
@@ -154,7 +175,7 @@ def connect(
     for state, point in zip(states, ends, strict=True):
         state[0], state[1], state[2] = point.tolist()
     problem.setStartAndGoalStates(*states, flight.goal_tolerance_m)
-    planner = og.RRT(information)
+    planner = planner_type(information)
     planner.setRange(flight.step_m)
     planner.setProblemDefinition(problem)
     planner.setup()
@@ -197,10 +218,7 @@ def _start_and_goal(
     clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator
 ) -> tuple[Floats, Floats] | None:
     """Draw two free points far enough apart; None after a hundred draws."""
-    min_distance = min(
-        flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3
-    )
-    start = None
+    min_distance, start = apart(bounds, flight), None
     for point in rng.uniform(bounds[0], bounds[1], (100, 3)):
         if clearance.at(*point) < flight.robot_radius_m:
             continue
@@ -209,6 +227,44 @@ def _start_and_goal(
         elif ((point - start) ** 2).sum() >= min_distance * min_distance:
             return start, point
     return None
+
+
+def heights(place: Place, flight: Flight) -> Floats:
+    """Compute the box (2, 3) of flights through a map, metres: its free part between heights."""
+    bounds = place.flight_bounds.copy()
+    bounds[:, 2] = np.clip(bounds[:, 2], *flight.altitude_m)
+    return bounds
+
+
+def around(box: Floats, start: Floats, flight: Flight) -> Floats:
+    """Cut a box (2, 3) to that part of it in which a flight from `start` (3,) is planned."""
+    reach = LOCAL * flight.min_distance_m
+    return np.clip([start - reach, start + reach], *box)
+
+
+def apart(box: Floats, flight: Flight) -> float:
+    """Compute the least distance from start to goal in a box (2, 3), metres."""
+    return min(flight.min_distance_m, float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / 3)
+
+
+def _ends_in_map(
+    place: Place, flight: Flight, sees: Sees, *, rng: Generator
+) -> tuple[Floats, tuple[Floats, Floats] | None]:
+    """Draw start and goal where the map is free, wide and known, and the box of the search."""
+    clearance, box, start = place.clearance, heights(place, flight), None
+
+    def draw(apart_m: float) -> Floats | None:
+        for point in rng.uniform(box[0], box[1], (POINTS, 3)):
+            is_far = start is None or ((point - start) ** 2).sum() >= apart_m * apart_m
+            if is_far and clearance.at(*point) >= flight.robot_radius_m and sees(point):
+                return point
+        return None
+
+    if (start := draw(0.0)) is None:
+        return box, None
+    box = around(box, start, flight)
+    goal = draw(apart(box, flight))
+    return box, None if goal is None else (start, goal)
 
 
 class Route:
@@ -410,5 +466,7 @@ def leaning(pose: Pose, pull: Vector, *, max_deg: float) -> Pose:
     return Pose(pose.position, np.array([w * half, w * x - z * y, w * y + z * x, z * half]))
 
 
+POINTS = 1000
+"""Points drawn to find an end of a flight in a map."""
 TRIES = 50
 """Flights tried for a single pose before the world counts as too narrow."""

@@ -5,6 +5,7 @@ occupied and free cubes: `.bt` with states only, `.ot` with log-odds; or as .npz
 
 import functools
 import hashlib
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from scenegen.base.errors import SceneError, printable
 from scenegen.base.limits import MAX_ASSET_BYTES, MAX_PLACE_VOXELS
 from scenegen.base.reading import read_bounded, sha256_of
 from scenegen.truth.voxels import resample
-from scenegen.worlds.clearance import Clearance
+from scenegen.worlds.clearance import Clearance, widest
 from scenegen.worlds.clouds.write import encode_npz, read_npz
 from scenegen.worlds.mapping import Known
 
@@ -455,3 +456,24 @@ class PlaceClearance(Clearance):
 
     def __init__(self, voxels: VoxelMap, opened: bool):
         self._arguments = voxels.states, voxels.voxel_m, voxels.origin, opened
+
+    def width_m(self, start: Floats, length_m: float, cap_m: float) -> float:
+        """Compute how wide the widest way from a point is.
+
+        Args:
+            start: The point (3,), in the map, metres.
+            length_m: Its end lies this far from the point, metres.
+            cap_m: Widths are capped at this, metres.
+
+        Returns:
+            The greatest clearance that a robot may keep on the way, metres; 0 if there is none.
+        """
+        states, voxel_m, origin, opened = self._arguments
+        # the start limits the width, too
+        cap_m = min(cap_m, self.at(*start))
+        reach, margin = math.ceil(length_m / voxel_m), math.ceil(cap_m / voxel_m)
+        begin = np.floor((start - origin) / voxel_m).astype(int)
+        low = np.maximum(begin - reach - margin - 1, 0)
+        cut = tuple(map(slice, low, begin + reach + margin + 2))
+        part = np.ascontiguousarray(states[cut]), voxel_m, origin + low * voxel_m, opened
+        return float(widest(tuple((begin - low).tolist()), reach, cap_m, part))

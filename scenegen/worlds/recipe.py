@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim import BeamTable, GridSpec, Lidar, Pose, Sensor
 from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
@@ -25,7 +25,7 @@ from scenegen.base.limits import (
     MAX_VOXELS,
     MAX_VOXELS_IN_FLIGHT,
 )
-from scenegen.worlds.flight import Flight
+from scenegen.worlds.flight import Flight, Sees
 from scenegen.worlds.kinds import find_kind
 from scenegen.worlds.kinds.kind import WorldKind
 from scenegen.worlds.mapping import Known, Mapper
@@ -40,6 +40,7 @@ from scenegen.worlds.tables import (
     sensor_of,
 )
 from scenegen.worlds.traffic import KINDS, Traffic
+from scenegen.worlds.world import AnyWorld
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,10 +192,16 @@ class Recipe:
         timed = self.traffic is not None and self.traffic.firing_times
         return float(self.lidar.times_s.max()) if timed else 0.0
 
+    def sees(self, world: AnyWorld) -> Sees | None:
+        """Tell where enough of a map is known to scan, by a level sensor; None where all is."""
+        if (known := self.known) is None:
+            return None
+        return lambda point: world.is_known(Pose.facing(point, (1.0, 0.0)), self.lidar, known)
+
     @property
     def version(self) -> int:
-        """The version of the kind's preset; 0 for worlds from MJCF files."""
-        return 0 if self.world is None else self.world.version
+        """The version of the kind's preset, or of flights in maps; 0 for worlds from MJCF files."""
+        return int(self.known is not None) if self.world is None else self.world.version
 
     def resolved(self) -> Json:
         """Return the manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON

@@ -1,14 +1,16 @@
 """Worlds from users' files: MJCF, meshes and maps, read with limits and made self-contained."""
 
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from lidarsim.engines.voxels import FREE, VoxelMap
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MAX_TRIANGLES
 from lidarsim.solids import HFIELD, MESH, PLANE, Solids, solids_of, visible_geoms
@@ -20,7 +22,14 @@ from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, memory_bytes
 from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.movers import with_text
-from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
+from scenegen.worlds.place import (
+    archived_place,
+    encode_map,
+    map_digest,
+    named_map,
+    place_of,
+    read_place,
+)
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, movers_of, quiet_mujoco
@@ -107,6 +116,37 @@ def load_map(path: Path) -> Scene:
         place = read_place(path)
     digest = map_digest(place.voxels)
     return Scene(path.name, place.mjcf, place.assets, notes=notes, geometry=digest)
+
+
+def cut(scene: Scene, shares: Sequence[float], gap_m: float) -> list[Scene]:
+    """Cut a map into regions, across its longer side.
+
+    Args:
+        scene: The map.
+        shares: Relative volumes of the regions' free space.
+        gap_m: Least distance between regions, metres.
+
+    Returns:
+        A map for each region, under the same name.
+
+    Raises:
+        SceneError: If nothing in a region is free.
+    """
+    voxels = archived_place(scene.mjcf, scene.assets, scene.name).voxels
+    axis = int(voxels.states.shape[1] > voxels.states.shape[0])
+    layers = np.moveaxis(voxels.states, axis, 0)
+    free = np.cumsum([np.count_nonzero(layer == FREE) for layer in layers])
+    ends = np.searchsorted(free, np.cumsum(shares) / sum(shares) * free[-1]) + 1
+    gap, regions = math.ceil(gap_m / voxels.voxel_m), list[Scene]()
+    for begin, end in zip([0, *ends[:-1] + gap], [*ends[:-1], len(layers)], strict=True):
+        states = np.moveaxis(layers[begin:end], 0, axis)
+        origin = voxels.origin + begin * voxels.voxel_m * np.eye(3)[axis]
+        region = VoxelMap(np.ascontiguousarray(states), voxels.voxel_m, origin)
+        place = place_of(encode_map(region, scene.name), ".npz", scene.name)
+        regions.append(
+            replace(scene, mjcf=place.mjcf, assets=place.assets, geometry=map_digest(region))
+        )
+    return regions
 
 
 def load_scene(path: Path, *, materials: bool = False) -> Scene:

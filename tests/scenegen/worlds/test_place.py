@@ -1,17 +1,24 @@
 """Maps of real places as worlds: what is free, what is flown through, and datasets of them."""
 
+import itertools
 import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 import scenegen
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from scenegen import SPLITS
+from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
+from scenegen.draw.source import SceneWorlds
 from scenegen.publish.stage import Request, stage
 from scenegen.verification import verify
-from scenegen.worlds.place import parse_npz, read_place
+from scenegen.worlds.place import PlaceClearance, parse_npz, read_place
+from scenegen.worlds.recipe import read_recipe
+from scenegen.worlds.scene import load_map
 from tests.command_line import done, run
 from tests.refusals import refuses, refuses_command
 from tests.scenegen import each_case
@@ -152,6 +159,90 @@ def test_what_a_map_lacks_is_refused(tmp_path, capsys, option):
     scene, out = write_map(tmp_path / "hall.npz", hall()), tmp_path / "no"
     refuses_command(capsys, f"generate --scene {scene} -o {out} {option}")
     assert not out.exists()
+
+
+def plot():
+    """A stand of 9 × 8 × 4 m: trunks .5 m apart, undergrowth, unknown pockets."""
+    rng, states = np.random.default_rng(1), np.full((90, 80, 40), FREE, np.uint8)
+    for x, y in (5 * np.argwhere(np.ones((18, 16))) + rng.integers(0, 3, (288, 2))).tolist():
+        states[x : x + 1, y : y + 1] = OCCUPIED
+    for x, y, z in rng.integers(0, (85, 75, 35), (15, 3)):
+        states[x : x + 3, y : y + 3, z : z + 3] = UNKNOWN
+    states[:, :, :2] = OCCUPIED
+    return states
+
+
+def planned(tmp_path, flight="", **counts):
+    """The plan of a dataset in the plot."""
+    recipe, scene = tmp_path / "r.toml", tmp_path / "plot.npz"
+    recipe.write_text(f"{RECIPE}known.most_marked_share = 0.9\n{flight}")
+    write_map(scene, plot(), voxel_m=np.float64(0.1))
+    options = {"scene": scene, "recipe": recipe, "out": tmp_path / "d", "test": 0, **counts}
+    return plan_generation(None, 5, **options).datasets[0]
+
+
+def test_radius_and_altitudes_are_found_in_a_dense_plot(tmp_path):
+    plan = planned(tmp_path, val=0)
+    flight = plan.manifest.recipe.flight
+    assert 0.05 < flight.robot_radius_m < 0.3
+    low, high = flight.altitude_m
+    assert 0.0 < low < high < 4.1
+    data = built(plan, workers=1)
+    assert len(data.split("train")) == 5
+    kept = planned(tmp_path, "flight.altitude_m = [1.0, 2.0]\n", val=0).manifest.recipe.flight
+    assert kept.altitude_m == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("flight", ["robot_radius_m = 0.4", "altitude_m = [8.0, 9.0]"])
+def test_what_fits_nowhere_is_named_with_what_would(tmp_path, flight):
+    refuses(flight, planned, tmp_path, f"flight.{flight}\n", val=0)
+
+
+def test_the_widest_way_is_that_of_thresholds(rng):
+    states = np.where(rng.random((14, 13, 12)) < 0.02, OCCUPIED, FREE).astype(np.uint8)
+    clearance = PlaceClearance(VoxelMap(states, 0.5, np.zeros(3)), False)
+    middles = (np.indices(states.shape).reshape(3, -1).T + 0.5) * 0.5
+    free = np.array([clearance.at(*middle) for middle in middles]).reshape(states.shape)
+    for begin in np.argwhere(states == FREE)[::200]:
+        start, far = (begin + 0.5) * 0.5, np.linalg.norm(np.indices(states.shape).T - begin, axis=3)
+        widths = [0.0]
+        for width in np.unique(free):
+            parts, _ = label(free >= width)
+            if width and parts[tuple(begin)] in parts[far.T >= 8] and parts[tuple(begin)]:
+                widths.append(width)
+        assert clearance.width_m(start, 4.0, 1.0) == pytest.approx(max(widths))
+
+
+def test_a_single_map_is_cut_into_regions(tmp_path):
+    scene = write_map(tmp_path / "hall.npz", np.concatenate([hall(), hall(1), hall(2)]))
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(RECIPE)
+    options = {"scene": scene, "recipe": recipe, "out": tmp_path / "d"}
+    (plan,) = plan_generation(None, 10, **options).datasets
+    data = built(plan, workers=1)
+    assert {split: len(data.split(split)) for split in SPLITS} == {"train": 10, "val": 1, "test": 2}
+    regions = {split: data.compile(split, 0).voxels for split in SPLITS}
+    counts = [np.count_nonzero(region.states == FREE) for region in regions.values()]
+    assert counts[0] == pytest.approx(3 * counts[1], rel=0.3)
+    for first, second in itertools.pairwise(regions.values()):
+        assert second.bounds[0, 0] - first.bounds[1, 0] >= 1.0
+    report = verify(data.folder)
+    assert report.ok, report.failed
+
+
+def test_regions_that_overlap_are_caught(tmp_path):
+    """As of two cuts of one map."""
+    halls = np.concatenate([hall(), hall(1)])
+    scenes = {}
+    for split, states in {"train": halls, "val": halls[:-1], "test": None}.items():
+        paths = [] if states is None else [write_map(tmp_path / "hall.npz", states)]
+        scenes[split] = tuple(load_map(path) for path in paths)
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(RECIPE)
+    source, read = SceneWorlds(scenes).suited(read_recipe(recipe))
+    counts = {"train": 5, "val": 5, "test": 0}
+    data = built(plan_dataset(tmp_path / "d", read, source, seed=0, counts=counts), workers=1)
+    assert "hall.npz" in failed(data.folder)["splits"]
 
 
 @each_case("worlds/place", "name value")
