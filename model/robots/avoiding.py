@@ -1,6 +1,7 @@
 """Robots among movers: a map that forgets, movers found in scans and followed, and commands that
 keep away from where movers will be."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -48,21 +49,32 @@ WAYS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]
 WAYS /= np.linalg.norm(WAYS, axis=1, keepdims=True)
 
 
-class AvoidingRobot(MappingRobot):
+class AvoidingRobot(MappingRobot, ABC):
     """A robot that maps, and keeps away from movers as it expects them.
 
     Its way avoids the voxels where movers are expected as it may arrive there. Of its commands, one
     is flown that keeps `MARGIN_M` from movers for `AHEAD_S`: the path's own if it does, else the
     one most like it; if none does, the one that keeps farthest away."""
 
+    @abstractmethod
     def movers_m(self, points: Floats, after_s: Floats) -> Floats:
-        """Distances (n,) of points (n, 3), world metres, from movers as expected after so many
-        seconds (n,), metres."""
-        raise NotImplementedError
+        """Compute distances from movers, as they are expected.
 
+        Args:
+            points: (n, 3), world metres.
+            after_s: (n,): when, seconds from now.
+
+        Returns:
+            (n,), metres.
+        """
+
+    @abstractmethod
     def mover_voxels(self, after_s: float) -> Ints:
-        """Voxels of the window (n, 3) that movers are expected to touch after so many seconds."""
-        raise NotImplementedError
+        """Find the voxels of the window (n, 3) that movers are expected to touch.
+
+        Args:
+            after_s: When, seconds from now.
+        """
 
     def act(self, observation: Observation) -> Floats:
         """See `Robot.act`."""
