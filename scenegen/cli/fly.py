@@ -64,8 +64,8 @@ robot_options = together(
     click.option(
         "--brakes",
         is_flag=True,
-        help="The robot is never faster than it can stop before the first voxel of its path that "
-        "it has not seen.",
+        help="On its path, the robot is never faster than it can stop before the first voxel that "
+        "it has not seen, but at least 0.25 m/s.",
     ),
 )
 picture_options = together(
@@ -138,7 +138,9 @@ def fly() -> None:
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
 @click.option(
-    "--movers", type=Choice(TRAFFIC), help="People, vehicles and drones that move in drawn worlds."
+    "--movers",
+    type=Choice(TRAFFIC),
+    help="People, vehicles and drones that move; a file's own are kept.",
 )
 @click.option(
     "--scans",
@@ -263,6 +265,7 @@ def _fly(
     name, network, work = _begin(made, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
+    _ = first.drawn
     if weights is None:  # a network's robot is scenegen's own
         check_begins(robot, first)
     if drawing["picture"]:

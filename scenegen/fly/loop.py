@@ -66,7 +66,7 @@ class Flown:
     speed_mps: float
     """Mean speed, metres a second."""
     min_clearance_m: float
-    """Minimum distance of the vehicle's centre from a solid, capped at 1 m, metres."""
+    """Minimum distance of the vehicle's centre from a solid or mover, capped at 1 m, metres."""
     mean_clearance_m: float
     """Mean of that distance over time, metres."""
     jerk_mps3: float

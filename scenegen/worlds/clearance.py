@@ -120,6 +120,30 @@ class Clearance:
         return bool(_course_is_free(begin_s, course, end_s, grown, self._arguments))
 
 
+def _lengths_s(movers: Movers) -> Floats:
+    """How long each piece lasts, (P, 1) seconds; 0 for a last one that has no end."""
+    lengths = np.diff(np.append(movers.begin_s, 0.0))
+    last = movers.piece_start[1:] - 1
+    lengths[last] = movers.period_s - movers.begin_s[last]
+    return np.where(np.isfinite(lengths), lengths, 0.0)[:, None]
+
+
+def heading_lengths(movers: Movers) -> Floats:
+    """Compute the least length of the heading in each piece, before it is scaled to 1.
+
+    Args:
+        movers: The movers. Headings run along a chord in every piece.
+
+    Returns:
+        (P,): the distance of the chord from the origin.
+    """
+    u, (start, linear, square, cubic) = _lengths_s(movers), np.moveaxis(movers.course[:, 3:], 2, 0)
+    chord = u * (linear + u * (square + u * cubic))
+    squares = np.maximum((chord * chord).sum(axis=1), 1e-300)
+    along = np.clip(-(start * chord).sum(axis=1) / squares, 0.0, 1.0)
+    return np.asarray(np.sqrt(((start + along[:, None] * chord) ** 2).sum(axis=1)))
+
+
 class MoversClearance:
     """Distances to movers, each where it is at a time."""
 
@@ -130,11 +154,7 @@ class MoversClearance:
             movers: The movers. Their courses repeat, and headings run along a chord in every piece.
         """
         self._arguments = movers.bodies
-        lengths = np.diff(np.append(movers.begin_s, 0.0))
-        last = movers.piece_start[1:] - 1
-        lengths[last] = movers.period_s - movers.begin_s[last]
-        u = lengths[:, None]
-        start, linear, square, cubic = np.moveaxis(movers.course, 2, 0)
+        u, (_, linear, square, cubic) = _lengths_s(movers), np.moveaxis(movers.course, 2, 0)
         # control points of their slopes, parabolas, which no value exceeds
         controls = (linear, linear + u * square, linear + u * (2.0 * square + u * 3.0 * cubic))
         slopes = np.stack(controls)
@@ -142,13 +162,9 @@ class MoversClearance:
             np.sqrt((part * part).sum(axis=2)).max(axis=0)
             for part in (slopes[..., :3], slopes[..., 3:])
         )
-        # the least length of a heading: the distance of its chord from the origin
-        heading, chord = start[:, 3:], (u * (linear + u * (square + u * cubic)))[:, 3:]
-        squares = np.maximum((chord * chord).sum(axis=1), 1e-300)
-        along = np.clip(-(heading * chord).sum(axis=1) / squares, 0.0, 1.0)
-        least = np.sqrt(((heading + along[:, None] * chord) ** 2).sum(axis=1))
         reach = np.repeat(movers.bodies[1], np.diff(movers.piece_start))
-        self._fastest_mps = float((speed + turn / least * reach).max(initial=0.0))
+        fastest = speed + turn / heading_lengths(movers) * reach
+        self._fastest_mps = float(fastest.max(initial=0.0))
 
     def at(self, points: Floats, times_s: Floats) -> Floats:
         """Compute the distances of points from the nearest solid of a mover.

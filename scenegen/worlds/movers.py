@@ -17,7 +17,7 @@ from lidarsim.jit import kernel
 from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
 from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
-from scenegen.worlds.clearance import Clearance
+from scenegen.worlds.clearance import Clearance, heading_lengths
 from scenegen.worlds.courses import Course, from_stop_to_stop, without_stop
 from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Traffic
 
@@ -38,6 +38,8 @@ REACH_M = 50.0
 """How far below a place the ground is looked for, metres."""
 SHARES = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None, None]
 """Places of a leg where the ground is looked for, as shares of its length."""
+LEAST_HEADING = 0.1
+"""Least length of a heading before it is scaled to 1; a turn by a right angle has .7."""
 TEXT = "movers"
 """Name of the document's <text> that holds movers."""
 
@@ -528,6 +530,6 @@ def fault_of(movers: Movers) -> str:
     starts = movers.begin_s[movers.piece_start[:-1]]
     if not rising.all() or (math.isfinite(movers.period_s) and starts.any()):
         return "expected pieces that rise, from 0 on where they repeat"
-    if not movers.course[:, 3:].any(axis=(1, 2)).all():
-        return "expected headings of a length above 0"
+    if movers.course[:, :3, 3].any() or not (heading_lengths(movers) >= LEAST_HEADING).all():
+        return f"expected places of second degree, and headings of a length of {LEAST_HEADING:g}"
     return ""
