@@ -44,7 +44,7 @@ def test_streams_give_every_field_as_generate_stores_it(group, tmp_path, monkeyp
     """What is stored is read by h5py alone."""
     if group == "known":
         source = read_scenes(hall_in(tmp_path, hall()), COUNTS, seed=0)
-        recipe = source.suited(scene_recipe())
+        source, recipe = source.suited(scene_recipe())
     else:
         source = DrawnWorlds(recipe := RECIPES[group])
     build(plan_dataset(tmp_path / "d", recipe, source, seed=4, counts=COUNTS))
