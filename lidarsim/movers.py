@@ -499,7 +499,11 @@ def pose(course, piece, u):
 
 @kernel
 def location(course, piece, u):
-    """x, y, z of a mover in a piece of its course, metres; see `pose`."""
+    """Compute a mover's place in a piece of its course, x, y, z in metres.
+
+    Args:
+        course, piece, u: As for `pose`.
+    """
     return _value(course, piece, 0, u), _value(course, piece, 1, u), _value(course, piece, 2, u)
 
 

@@ -144,7 +144,12 @@ class _Track:
         return np.asarray(slope / max(float(np.linalg.norm(slope)) / FASTEST_MPS, 1.0))
 
     def see(self, points: Floats, time_s: float) -> None:
-        """Add its returns at a time."""
+        """Add what a scan shows of it.
+
+        Args:
+            points: (n, 3): its returns, world metres.
+            time_s: When, seconds.
+        """
         self.points = points[:: -(-len(points) // MOST_POINTS)]
         self.times_s.append(time_s)
         self.middles.append(points.mean(axis=0))
@@ -176,7 +181,11 @@ class TrackingRobot(AvoidingRobot):
         self._tracks = list[_Track]()
 
     def movers_m(self, points: Floats, after_s: Floats) -> Floats:
-        """See `AvoidingRobot.movers_m`."""
+        """See `AvoidingRobot.movers_m`.
+
+        Returns:
+            (n,), metres, from returns; inf without movers.
+        """
         nearest = np.full(len(points), np.inf)
         for track in self._tracks:
             lasting_s = after_s + (self._time_s - track.times_s[-1])
@@ -269,7 +278,11 @@ class TruthAmongMovers(AvoidingRobot, TruthRobot):
         self._clearance, self._predicts = MoversClearance(world.movers), predicts
 
     def movers_m(self, points: Floats, after_s: Floats) -> Floats:
-        """See `AvoidingRobot.movers_m`; up to a metre."""
+        """See `AvoidingRobot.movers_m`.
+
+        Returns:
+            (n,), metres, from solids; a metre at most.
+        """
         return self._clearance.at(points, self._time_s + self._predicts * after_s)
 
     def mover_voxels(self, after_s: float) -> Ints:

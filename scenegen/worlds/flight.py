@@ -230,20 +230,45 @@ def _start_and_goal(
 
 
 def heights(place: Place, flight: Flight) -> Floats:
-    """Compute the box (2, 3) of flights through a map, metres: its free part between heights."""
+    """Compute the box of flights through a map.
+
+    Args:
+        place: The map.
+        flight: Gives altitudes.
+
+    Returns:
+        (2, 3): the box around what is free between these altitudes, metres.
+    """
     bounds = place.flight_bounds.copy()
     bounds[:, 2] = np.clip(bounds[:, 2], *flight.altitude_m)
     return bounds
 
 
 def around(box: Floats, start: Floats, flight: Flight) -> Floats:
-    """Cut a box (2, 3) to that part of it in which a flight from `start` (3,) is planned."""
+    """Cut a box to that part of it in which a flight is planned.
+
+    Args:
+        box: (2, 3), metres.
+        start: (3,): where it begins, metres.
+        flight: Gives its length.
+
+    Returns:
+        (2, 3), metres.
+    """
     reach = LOCAL * flight.min_distance_m
     return np.clip([start - reach, start + reach], *box)
 
 
 def apart(box: Floats, flight: Flight) -> float:
-    """Compute the least distance from start to goal in a box (2, 3), metres."""
+    """Compute the least distance from start to goal.
+
+    Args:
+        box: (2, 3): where both lie, metres.
+        flight: Gives the distance in a large box.
+
+    Returns:
+        Metres.
+    """
     return min(flight.min_distance_m, float(np.sqrt(((box[1] - box[0]) ** 2).sum())) / 3)
 
 
