@@ -183,8 +183,9 @@ DAMAGES = {
     '"begin_s":[0,0],"course":[[0,0,0,0,0,0,0,0,0,0,0,0,1,0,0,0,0,0,0,0],'
     "[0,0,0,0,0,0,0,0,0,0,0,0,1,0,0,0,0,0,0,0]]}]}",
     # 1 - t / 32 would be 0 at the end of the period
-    "a heading through zero": '{"period_s":32,"movers":[{"kind":"drone","solids":'
-    '[[4,1,1,1,0,0,0]],"begin_s":[0],"course":[[0,0,0,0,0,0,0,0,0,0,0,0,1,-0.03125,0,0,0,0,0,0]]}]}',
+    "a heading through zero": '{"period_s":32,"movers":[{"kind":"drone",'
+    '"solids":[[4,1,1,1,0,0,0]],"begin_s":[0],'
+    '"course":[[0,0,0,0,0,0,0,0,0,0,0,0,1,-0.03125,0,0,0,0,0,0]]}]}',
     "a cubic place": '{"period_s":32,"movers":[{"kind":"drone","solids":[[4,1,1,1,0,0,0]],'
     '"begin_s":[0],"course":[[0,0,0,0.01,0,0,0,0,0,0,0,0,1,0,0,0,0,0,0,0]]}]}',
 }
