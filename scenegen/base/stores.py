@@ -45,6 +45,8 @@ CONNECT_S, READ_S = 5, 30
 """Timeouts of a connection and of an answer, seconds."""
 AGAIN = "what is finished is kept: give the same command again to go on"
 """Advice after an error that may pass."""
+READS = 10
+"""How often an object is read that others replace meanwhile."""
 CONFLICT = (
     "somebody else has put other bytes there; end other runs that write there, remove the object "
     "if there are none, and give the same command again to go on"
@@ -123,9 +125,11 @@ class Store:
 
         def _find(system: Any, path: str) -> dict[str, int]:
             files = system.find(path, detail=True)
+            # a folder that others begin to fill meanwhile is listed as itself
             return {
                 name.removeprefix(path).lstrip("/"): int(info["size"] or 0)
                 for name, info in files.items()
+                if info["type"] == "file"
             }
 
         try:
@@ -151,7 +155,13 @@ class Store:
                 return file.read(max_bytes + 1), details.get("ETag")
 
         self._versions.pop(name, None)
-        content, version = self._ask(name, _read)
+        for attempt in range(READS):
+            try:
+                content, version = self._ask(name, _read)
+                break
+            except ConflictError:  # it was replaced after the request for its version
+                if attempt == READS - 1:
+                    raise
         if len(content) > max_bytes:
             raise DatasetError(f"{self}/{name}: more than {max_bytes} bytes")
         self._versions[name] = version
