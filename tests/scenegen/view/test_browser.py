@@ -70,7 +70,8 @@ def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, m
         assert state(tab, "layers").split()[-2:] == ["free", "occupancy"]
         box = tab.locator("canvas#scene").bounding_box()
         spots = [(0.55 + 0.05 * n, 0.4 + 0.05 * m) for n in range(6) for m in range(6)]
-        for across, down in spots:
+        # a busy machine may not have drawn yet
+        for across, down in 3 * spots:
             tab.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
             if said := tab.locator("#picked").inner_text():
                 break
