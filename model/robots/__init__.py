@@ -15,7 +15,7 @@ MAPPING = (
     FORESEEING,
 )
 """Robots that map and plan; see `scenegen.model.robots.flights.robot_maker`."""
-BRAKING = MAPPING[:-2]
+BRAKING = tuple(name for name in MAPPING if name not in ("truth", FORESEEING))
 """Robots that can brake for what they have not seen; a network's can, too."""
 BRAKES = ", brakes"
 """End of the name of a robot that does."""

@@ -261,8 +261,8 @@ def _fly(
     """Fly through courses, record the flights, and print and draw them."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
-    made = robot, weights, brakes
-    name, network, work = _begin(made, hidden, drawing["log"], execute, verbose)
+    robot_settings = robot, weights, brakes
+    name, network, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
     _ = first.drawn
@@ -276,11 +276,11 @@ def _fly(
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
     crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
-    _show(flown, name, made, hidden=hidden, crew=crew, files=[out], **drawing)
+    _show(flown, name, robot_settings, hidden=hidden, crew=crew, files=[out], **drawing)
 
 
 def _begin(
-    made: tuple[str, str | None, bool],
+    robot_settings: tuple[str, str | None, bool],
     hidden: int | None,
     log: Path | None,
     execute: Executor,
@@ -300,7 +300,7 @@ def _begin(
     from scenegen.model.completion.completer import locate
     from scenegen.model.robots.flights import fly_course
 
-    robot, weights, brakes = made
+    robot, weights, brakes = robot_settings
     if brakes and weights is None and robot not in BRAKING:
         raise click.UsageError(
             f"--brakes: {robot} has no map of what it has seen; expected --weights, or --robot "
@@ -357,8 +357,8 @@ def replay(
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
     track = _track(hidden, maps)
-    made = robot, weights, brakes
-    pilot, _, work = _begin(made, hidden, drawing["log"], execute, verbose)
+    robot_settings = robot, weights, brakes
+    pilot, _, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, track, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
     with Progress("replay", visible=verbose) as progress:
@@ -367,7 +367,7 @@ def replay(
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
         # only a robot that the user names: the default one may not be that of the recording
         if weights is not None or was_given("robot"):
-            filmed = made
+            filmed = robot_settings
             count, differing = fly_anew(recording, work, crew)
             notes[ANEW] = f"{count - len(differing)} of {count} flights"
     crew = crew_of(execute)
