@@ -103,6 +103,32 @@ def test_versions_without_quotation_marks_are_known(store, monkeypatch):
         mine.replace("x", b"3")
 
 
+def test_what_others_replace_meanwhile_is_read_again(store, monkeypatch):
+    mine = Store(NAME)
+    mine.put("a", b"1")
+    ask, conflicts = Store._ask, iter([True, True, False])
+
+    def raced(self, *args):
+        if next(conflicts):
+            raise ConflictError("replaced")
+        return ask(self, *args)
+
+    monkeypatch.setattr(Store, "_ask", raced)
+    assert mine.read("a", 9) == b"1"
+
+
+def test_a_folder_is_no_object_of_itself(store, monkeypatch):
+    """So s3fs lists one that another run begins to fill meanwhile."""
+    folder = {NAME: {"type": "directory", "size": 0}, f"{NAME}/a": {"type": "file", "size": 1}}
+
+    class Filling:
+        def find(self, path, detail):
+            return folder
+
+    monkeypatch.setattr(Store, "_ask", lambda self, name, act: act(Filling(), NAME))
+    assert Store(NAME).list() == {"a": 1}
+
+
 def test_a_bucket_holds_the_bytes_of_a_folder(store, made):
     """Also in place of another dataset."""
     build(plan(Store(NAME), seed=4, train=20))
