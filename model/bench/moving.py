@@ -22,6 +22,7 @@ from scenegen.model.bench.metrics import NAN, Metric, ScoredMap
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import HORIZONS
 from scenegen.model.targets import Occupancy
+from scenegen.truth import distance_field
 
 RAYS = 4
 """Rays of the other scan about a point that must all go on behind it."""
@@ -31,6 +32,8 @@ LINK_M = 0.6
 """Points at most this far apart are of one mover, metres."""
 FASTEST_MPS = 8.0
 """The greatest speed of a mover, metres a second."""
+NEAR_M = 0.6
+"""How near to the way of a mover free voxels count in the IoU of movers, metres."""
 
 
 class Later(Occupancy):
@@ -48,29 +51,29 @@ class Later(Occupancy):
 
     @property
     def metrics(self) -> Mapping[str, Metric]:  # type: ignore[override]
-        """IoU over all scored voxels, and over those of them that movers pass."""
-        title, passed = f"IoU after {self.after_s:g} s", partial(self.iou, passed=True)
-        moving = f"{title}, of voxels that movers pass"
+        """IoU over all scored voxels, and over those of them about movers."""
+        title, about = f"IoU after {self.after_s:g} s", partial(self.iou, about=True)
+        moving = f"{title}, about movers"
         return {
             "iou": Metric(title, self.iou),
             # validation has no samples
-            "moving_iou": Metric(moving, passed, tested=("map",), bench_only=True),
+            "moving_iou": Metric(moving, about, tested=("map",), bench_only=True),
         }
 
-    def iou(self, scored_map: ScoredMap, *, passed: bool = False) -> float:
+    def iou(self, scored_map: ScoredMap, *, about: bool = False) -> float:
         """Compute the IoU at that time. The answer of a method that predicts nothing for it is its
         occupancy now.
 
         Args:
             scored_map: The map and its truth.
-            passed: Whether only voxels count that a moving mover touches now or then.
+            about: Whether only voxels `about_movers` count.
 
         Returns:
             From 0 to 1; NaN without such voxels.
         """
         name, counted = f"occupancy{self.end}", scored_map.scored
-        if passed:
-            counted = counted & scored_map.sample.motion.passed(self.after_s)
+        if about:
+            counted = counted & about_movers(scored_map.sample, self.after_s)
         predicted = scored_map.prediction.others.get(name, scored_map.occupied)
         predicted = predicted > np.float32(scored_map.thresholds.probability)
         if not counted.any():
@@ -91,6 +94,22 @@ class Later(Occupancy):
             MissingPartError: It has no movers, or courses are not stored for so long.
         """
         return sample.motion.occupancy(self.after_s)
+
+
+def about_movers(sample: Any, after_s: float) -> Mask:
+    """Voxels that a moving mover touches now or at a later time, and those near them that nothing
+    which stands occupies: there, who calls too much occupied pays for it.
+
+    Args:
+        sample: A sample with movers.
+        after_s: Seconds after its time.
+
+    Returns:
+        Mask (*grid.shape).
+    """
+    passed = sample.motion.passed(after_s)
+    near = distance_field(passed, sample.grid) <= NEAR_M
+    return np.asarray(passed | (near & ~sample.static_occupancy))
 
 
 OverTime = Callable[[float], Mask]

@@ -50,7 +50,10 @@ def row(text):
 def case_of(now, later, **others):
     """A map with a voxel that stands; the second voxel is below the ground."""
     sample = SimpleNamespace(
-        observed=row("##.#.#.."), motion=SimpleNamespace(passed=lambda after_s: row(".##.##.."))
+        grid=GRID,
+        observed=row("##.#.#.."),
+        static_occupancy=row("##......"),
+        motion=SimpleNamespace(passed=lambda after_s: row(".##.##..")),
     )
     return ScoredMap(
         prediction=Prediction(now.astype(np.float32), others=others),
@@ -68,13 +71,15 @@ def test_later_metrics_by_hand():
     # of the voxels that count: now 0, 3 and 5 are said, and then 0 and 4 are occupied
     judged = case_of(row("#..#.#.."), later)
     assert metrics["occupancy+1_iou"].of(judged) == 1 / 4
-    # movers pass 2, 4 and 5: 5 is said, 4 is occupied
+    # movers pass 2, 4 and 5, near 3 and 6: 3 and 5 are said, 4 is occupied
     assert metrics["occupancy+1_moving_iou"].of(judged) == 0
     # 3 holds a return, and nothing now
     assert metrics["ghosts"].of(judged) == 1
-    told = case_of(row("#....#.."), later, **{"occupancy+1": 0.96 * row("#...##..")})
-    assert metrics["occupancy+1_iou"].of(told) == 2 / 3
+    told = case_of(row("#....#.."), later, **{"occupancy+1": 0.96 * row("#...##.#")})
+    assert metrics["occupancy+1_iou"].of(told) == 2 / 4
     assert metrics["occupancy+1_moving_iou"].of(told) == 1 / 2
+    near = case_of(row("#....#.."), later, **{"occupancy+1": row("#...###.")})
+    assert metrics["occupancy+1_moving_iou"].of(near) == 1 / 3
     assert metrics["ghosts"].of(told) == 0
 
 
