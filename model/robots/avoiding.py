@@ -133,14 +133,13 @@ class _Track:
     """Its returns when it was last seen, (n, 3), world metres."""
     times_s: list[float] = field(default_factory=list)
     middles: list[Floats] = field(default_factory=list)
-    """When it was seen, and the middle of its returns then."""
+    """When it was seen in the last `FIT_S`, and the middle of its returns then."""
 
     def velocity(self) -> Floats:
-        """Fit the velocity of the last `FIT_S`, (3,), metres a second."""
-        recent = np.array(self.times_s) >= self.times_s[-1] - FIT_S
-        if np.count_nonzero(recent) < 3:
+        """Fit the velocity (3,), metres a second."""
+        if len(self.times_s) < 3:
             return np.zeros(3)
-        slope = np.polyfit(np.array(self.times_s)[recent], np.array(self.middles)[recent], 1)[0]
+        slope = np.polyfit(np.array(self.times_s), np.array(self.middles), 1)[0]
         return np.asarray(slope / max(float(np.linalg.norm(slope)) / FASTEST_MPS, 1.0))
 
     def see(self, points: Floats, time_s: float) -> None:
@@ -153,6 +152,8 @@ class _Track:
         self.points = points[:: -(-len(points) // MOST_POINTS)]
         self.times_s.append(time_s)
         self.middles.append(points.mean(axis=0))
+        while self.times_s[0] < time_s - FIT_S:
+            del self.times_s[0], self.middles[0]
 
 
 class TrackingRobot(AvoidingRobot):

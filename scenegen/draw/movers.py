@@ -147,7 +147,8 @@ def stored_movers(sample: Any) -> Movers:
     movers = Movers(
         kind=sample.mover_kind[:count].astype(np.int64),
         owner=np.nonzero(present)[0],
-        shape=rows[:, 0].astype(np.int64),
+        # a damaged table may hold any number
+        shape=np.nan_to_num(rows[:, 0]).clip(NO_SHAPE, 99).astype(np.int64),
         size=rows[:, 1:4].copy(),
         offset=rows[:, 4:].copy(),
         piece_start=starts.astype(np.int64),
