@@ -17,7 +17,8 @@ from scenegen.worlds.traffic import PERIOD_S
 
 TICK_S = 2.0**-10
 """Resolution of the times at which pieces begin, seconds."""
-
+LEAST_TURN = 8
+"""Ticks of a turn, at least: coefficients of shorter ones may exceed what tables hold. Even."""
 
 Pair = tuple[float, float]
 """x and y."""
@@ -125,7 +126,7 @@ def _turn(writer: _Writer, place: Vector, start: Pair, end: Pair, rate: float) -
     if length < 1e-9:
         return
     # an arc is at most π/(2√2) = 1.12 times as long as its chord
-    ticks = _ticks(1.12 * length / rate)
+    ticks = max(_ticks(1.12 * length / rate), LEAST_TURN)
     writer.add(ticks, place, _smooth(start, chord, ticks * TICK_S))
 
 
@@ -224,7 +225,7 @@ def without_stop(points: Floats, speed: float, acceleration: float, rate: float)
     )
     # even, so that half of a corner is a whole number of ticks
     corner = 2 * np.ceil(seconds / TICK_S / 2).astype(int)
-    corner = np.maximum(corner, 2)
+    corner = np.maximum(corner, LEAST_TURN)
     if (corner / 2 + np.roll(corner, -1) / 2 > ticks).any():
         return None
     # a corner of more than a right angle would need two pieces

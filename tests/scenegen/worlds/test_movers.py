@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine
+from lidarsim.parameters import MAX_LENGTH_M
 from scenegen.draw.source import DrawnWorlds
 from scenegen.truth.shapes import distance
 from scenegen.worlds.courses import TICK_S, from_stop_to_stop, without_stop
@@ -152,6 +153,13 @@ def test_a_loop_runs_at_one_speed_but_for_corners():
     assert (course.begin_s / TICK_S % 1 == 0).all()
     speeds = np.linalg.norm(course.pieces[:, :3, 1], axis=1)
     assert_allclose(speeds, speeds[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("bend_m", [1e-6, 1e-3, 0.02])
+def test_slight_turns_fit_into_tables(bend_m):
+    bent = np.array([[0.0, 0, 1], [2, 0, 1], [4, bend_m, 1], [6, 0, 1]])
+    course = from_stop_to_stop(bent, 2.0, 1.5, 10.0, [0.0] * 4)
+    assert np.abs(course.pieces).max() <= MAX_LENGTH_M
 
 
 @pytest.mark.parametrize(
