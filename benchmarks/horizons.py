@@ -98,7 +98,7 @@ class Options(measuring.Options):
     """The network, and what it is measured on."""
 
     run: Positional[Path]
-    """the folder of its training"""
+    """the folder of its training; with --smoke, it is trained there"""
     home: Sequence[Path]
     """datasets of the kinds that it learned from"""
     elsewhere: Sequence[Path]
@@ -108,7 +108,10 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Choose thresholds on validation maps of `home`; test on both; print the tables."""
-    given = measuring.parse(Options)
+    places = {name: [Path("data") / name] for name in ("home", "elsewhere")}
+    given = measuring.parse(Options, run=Path("run"), **places)
+    if given.smoke:
+        learn(given)
     own = ",".join(f"horizons:{name}" for name in (*INPUTS, "Soon"))
     network = Completer.from_pretrained(f"{own}@{given.run}")
     found = [
@@ -144,6 +147,23 @@ def main() -> None:
     ]
     lines += titled("## Does a network know where movers will be?", ("IoU, moving", "p"), rows)
     publish(given, lines)
+
+
+def learn(given: Options) -> None:
+    """Draw a few samples, and train on them."""
+    for (path,) in (given.home, given.elsewhere):
+        scenegen.generate(
+            "street",
+            2,
+            out=path,
+            val=1,
+            test=4,
+            mapping={"scans": 2},
+            movers="dense",
+        )
+    inputs = tuple(f"horizons:{name}" for name in INPUTS)
+    settings: Any = {"inputs": inputs, "targets": ("horizons:Soon",), "batch": 2, "maps": 2}
+    scenegen.train(*given.home, out=given.run, variant="occ", **settings)
 
 
 def samples(datasets: Sequence[Path], split: str) -> Iterator[tuple[str, Sample]]:

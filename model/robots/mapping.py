@@ -20,7 +20,7 @@ from scenegen.model.bench.trials import RATHER, risk_of
 from scenegen.model.completion.protocol import Returns, complete_seen, forget
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.inputs import SeenMap
-from scenegen.model.robots.steering import LAG_S, follow, no_way
+from scenegen.model.robots.steering import follow, lag_s, no_way
 from scenegen.truth import distance_field
 from scenegen.truth.difficulty import search
 from scenegen.worlds.place import Place
@@ -268,7 +268,7 @@ class MappingRobot:
         """A path (n, 3) from the vehicle to the goal, world metres, that keeps its `distance`."""
         step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
         radius, position = float(self._about["radius_m"]), observation["position"]
-        start = position + LAG_S * observation["velocity"]  # no sooner can it turn
+        start = position + lag_s(self._about) * observation["velocity"]  # no sooner can it turn
         # the search needs a free start, and the point ahead may lie too near an obstacle
         if distance[self._voxels(start[None])] < radius:
             start = position

@@ -19,7 +19,7 @@ CUT_M = 0.2
 POINTS = 16
 """Points of the way ahead at which its room is measured."""
 LAG_S = 0.3
-"""How long it takes from a decision until the vehicle brakes or turns, seconds."""
+"""How long it takes from a decision until the vehicle brakes or turns, without latency, seconds."""
 SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5
@@ -34,6 +34,11 @@ TURN = 2.0
 """Rate of yaw for each radian off the course, 1/s."""
 
 
+def lag_s(about: Observation) -> float:
+    """Time from a decision until the vehicle brakes or turns, seconds."""
+    return LAG_S + float(about["latency_s"])
+
+
 def stopping_m(speed: float, about: Observation) -> float:
     """Length in which the vehicle stops from a speed, metres: it flies on for `LAG_S` and while the
     jerk builds up, and brakes with half of its acceleration, since it follows speeds that fall with
@@ -44,7 +49,7 @@ def stopping_m(speed: float, about: Observation) -> float:
         about: See `Simulation.about`.
     """
     pull, jerk = float(about["acceleration_mps2"]), float(about["jerk_mps3"])
-    return speed * (LAG_S + pull / jerk) + speed * speed / pull
+    return speed * (lag_s(about) + pull / jerk) + speed * speed / pull
 
 
 def stopping_mps(length: float, about: Observation) -> float:
@@ -56,7 +61,7 @@ def stopping_mps(length: float, about: Observation) -> float:
         about: See `Simulation.about`.
     """
     pull = float(about["acceleration_mps2"])
-    lost = 0.5 * pull * (LAG_S + pull / float(about["jerk_mps3"]))
+    lost = 0.5 * pull * (lag_s(about) + pull / float(about["jerk_mps3"]))
     return max(math.sqrt(lost * lost + pull * max(length, 0.0)) - lost, CREEP_MPS)
 
 
@@ -121,7 +126,7 @@ def follow(
     speed = math.sqrt(float(observation["velocity"] @ observation["velocity"]))
     steps = np.diff(path, axis=0)
     ends = np.append(0.0, np.cumsum(np.sqrt((steps * steps).sum(axis=1))))
-    left, brakes = float(ends[-1]), LAG_S * speed
+    left, brakes = float(ends[-1]), lag_s(about) * speed
     sight = brakes + speed * speed / pull + 0.5
 
     def next_points(length: float) -> Floats:

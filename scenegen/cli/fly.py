@@ -133,7 +133,13 @@ def fly() -> None:
     dynamics="kinematic: the vehicle moves exactly within its bounds. mujoco: a quadrotor with "
     "inertia, rotors and drag tracks that motion.",
 )
-@options_of(Rules, apart_m="Minimum distance from start to goal, metres.")
+@options_of(
+    Rules,
+    apart_m="Minimum distance from start to goal, metres.",
+    latency_s="Time until the vehicle does what was decided on a scan, seconds.",
+    drift_m="Standard deviation of the robot's position after 100 m, metres.",
+    drift_deg="Standard deviation of the robot's yaw after 100 m, degrees.",
+)
 @lidar_option("raster")
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
@@ -151,7 +157,9 @@ def fly() -> None:
 @seed_option("Seed of the world, the goals and the noise.")
 @out_option("File for a recording of the flights, .json.")
 @picture_options
-@group("Robot", "robot weights brakes scans radius speed acceleration dynamics")
+@group(
+    "Robot", "robot weights brakes scans latency drift drift-deg radius speed acceleration dynamics"
+)
 @group("Courses", "flights worlds difficulty movers apart moving seed")
 def world(
     name: str,

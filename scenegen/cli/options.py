@@ -39,7 +39,7 @@ if typing.TYPE_CHECKING:
 Decorator = Callable[[Any], Any]
 """Adds options to a function."""
 
-UNITS = re.compile("(_m|_mps|_mps2|_deg_s)$")
+UNITS = re.compile("(_m|_mps|_mps2|_deg_s|_s)$")
 """Unit at the end of a field's name, which its option lacks."""
 COMMON_GROUPS = {
     "Sensor and maps": "lidar noise scans scan-spacing fusion map-ahead tilt engine",

@@ -41,7 +41,7 @@ class Vehicle(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Rules(Checked):
-    """Which starts and goals are drawn, and when a flight ends."""
+    """Which starts and goals are drawn, when a flight ends, and what a robot has to put up with."""
 
     apart_m: float = number(15.0, above=0, maximum=1000)
     """Minimum distance from start to goal, metres; at most half the diagonal of the flight bounds.
@@ -53,3 +53,11 @@ class Rules(Checked):
     """A flight succeeds within this distance of its goal, metres."""
     patience: float = number(10.0, minimum=1, maximum=1000)
     """Time limit of a flight, as a multiple of the shortest way at full speed."""
+    latency_s: float = number(0.0, minimum=0, maximum=1)
+    """Time from a scan until the vehicle does what was decided on it, seconds: what the robot takes
+    to compute. Rounded up to steps of 1/160 s."""
+    drift_m: float = number(0.0, minimum=0, maximum=10)
+    """Error of the robot's position: standard deviation along each axis after 100 m, metres. It
+    adds up as a random walk, from 0 at the start."""
+    drift_deg: float = number(0.0, minimum=0, maximum=90)
+    """Error of the robot's yaw, likewise, degrees."""

@@ -34,8 +34,8 @@ def max_pull(vehicle: Vehicle) -> float:
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
 
 
-def advance(state: Floats, command: Command, vehicle: Vehicle) -> Floats:
-    """Return the states (STEPS, 11) after each step of one period.
+def advance(state: Floats, command: Command, vehicle: Vehicle, steps: int = STEPS) -> Floats:
+    """Return the states (steps, 11) after each step, by default of one period.
 
     Jerk is constant within a step, so that a step is integrated exactly. The controlled velocity is
     the one that remains once the acceleration has been brought to zero. It never leaves the ball of
@@ -45,11 +45,12 @@ def advance(state: Floats, command: Command, vehicle: Vehicle) -> Floats:
         state: State now, (11,).
         command: Velocity in the world, m/s, and yaw rate, rad/s, within the bounds, (4,).
         vehicle: Bounds of the motion.
+        steps: Number of steps.
     """
     target = command.astype(np.float64)
     sine, cosine = sin_cos(target[3] * STEP_S)
     bounds = (vehicle.speed_mps, max_pull(vehicle), vehicle.jerk_mps3)
-    states = np.empty((STEPS, len(state)))
+    states = np.empty((steps, len(state)))
     _advance(state, target, float(cosine), float(sine), bounds, states)
     return states
 
@@ -173,11 +174,11 @@ class Quadrotor:
         """The body's pose now."""
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
-    def advance(self, command: Command) -> Floats:
-        """Return the states (STEPS, 11) after each step of one period, see `advance`. Their
-        acceleration is that of thrust and weight, without drag."""
-        leads = advance(self._leads, command, self._vehicle)
-        states = np.empty((STEPS, 11))
+    def advance(self, command: Command, steps: int = STEPS) -> Floats:
+        """Return the states (steps, 11) after each step, see `advance`. Their acceleration is that
+        of thrust and weight, without drag."""
+        leads = advance(self._leads, command, self._vehicle, steps)
+        states = np.empty((steps, 11))
         for lead, state in zip(leads, states, strict=True):
             self._data.ctrl[:] = self._mix @ self._controls(lead)
             mujoco.mj_step(self._model, self._data, SUBSTEPS)

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Sensor
+from lidarsim import Pose, Sensor
 from lidarsim.grid import Floats, Vector
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
-from lidarsim.pose import rotate
+from lidarsim.pose import chained, rotate
 from scenegen.draw.draw import in_motion, scan_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
@@ -21,6 +21,7 @@ from scenegen.fly.motion import (
     ACCELERATION,
     POSITION,
     STEP_S,
+    STEPS,
     VELOCITY,
     Command,
     Quadrotor,
@@ -41,8 +42,42 @@ Observation = dict[str, NDArray[Any]]
 """Arrays by name, see `Simulation.observe`."""
 LARGEST = 1e6
 """Speeds beyond this are scaled down before their squares are summed, which could overflow."""
+DRIFT = 1
+"""Beside the seed of the noise, that of the drift."""
 PRIZE = 10.0
 """Reward at the goal; its negative is that of any other end except a timeout."""
+
+
+class Odometry:
+    """The position and yaw that a robot is told. Their errors are random walks over the metres
+    flown, and an error of the yaw also turns what is flown from then on.
+
+    Args:
+        start: (3,): where it begins, world metres; there it is exact.
+        rules: Give the drift.
+        seed: Seed of the walks.
+
+    Attributes:
+        position: What the robot is told, (3,), metres.
+        yaw_rad: Error of the yaw that it is told.
+    """
+
+    def __init__(self, start: Floats, rules: Rules, seed: int):
+        self.position, self.yaw_rad, self._rules = start.copy(), 0.0, rules
+        self._rng = np.random.default_rng([seed, DRIFT])
+
+    def move(self, motion: Floats) -> None:
+        """Add a motion (3,), world metres."""
+        x, y, z = motion.tolist()
+        # numbers between -1 and 1 have a third of the variance asked for; bits are alike everywhere
+        spread = math.sqrt(3 * math.sqrt(x * x + y * y + z * z) / 100)
+        *along, turn = (spread * self._rng.uniform(-1, 1, 4)).tolist()
+        self.yaw_rad += math.radians(self._rules.drift_deg) * turn
+        self.position += self.told(motion) + self._rules.drift_m * np.array(along)
+
+    def told(self, vector: Floats, sign: int = 1) -> Floats:
+        """Turn a vector (3,) from the world to what the robot takes for it; back with -1."""
+        return rotate(Pose.level(np.zeros(3), sign * self.yaw_rad).quaternion, vector[None])[0]
 
 
 @dataclass(eq=False)
@@ -92,6 +127,13 @@ class Simulation:
         self._seen, self._turning = b"", 0.0
         by_mujoco = self.vehicle.dynamics == "mujoco"
         self._body = Quadrotor(self.state, self.vehicle) if by_mujoco else None
+        # steps that decisions are late, and the last commands, latest first
+        late = math.ceil(self.rules.latency_s / STEP_S - 1e-9)
+        self._late_periods, self._late_steps = divmod(late, STEPS)
+        hover = [np.zeros(4, np.float32)] * (self._late_periods + 2)
+        self._commands = deque(hover, maxlen=len(hover))
+        drifts = self.rules.drift_m or self.rules.drift_deg
+        self._odometry = Odometry(self.state[POSITION], self.rules, self.seed) if drifts else None
 
     @property
     def digest(self) -> str:
@@ -115,8 +157,8 @@ class Simulation:
         Returns:
             The fields of the vehicle; `goal` (3,) and `bounds` (2, 3), metres in the world;
             `reach_m`, the distance at which the goal is reached; `most_s`, the time limit;
-            `period_s`; and of the sensor `max_range_m`, `directions_body` (*shape, 3), `times_s`
-            and `lever_arm_m` (3,).
+            `period_s`, `latency_s`; and of the sensor `max_range_m`, `directions_body` (*shape,
+            3), `times_s` and `lever_arm_m` (3,).
         """
         facts = vars(self.vehicle) | {
             "goal": self.mission.goal,
@@ -124,6 +166,7 @@ class Simulation:
             "reach_m": self.rules.reach_m,
             "most_s": self.most_s,
             "period_s": PERIOD_S,
+            "latency_s": self.rules.latency_s,
             "max_range_m": self.sensor.max_range_m,
             "directions_body": self.sensor.directions_body,
             "times_s": self.sensor.times_s,
@@ -141,10 +184,10 @@ class Simulation:
             `ranges` (*sensor.shape), metres, inf where nothing returned; `points`
             (*sensor.shape, 3), metres from the body along its axes, 0 where nothing returned;
             `position` (3,), `quaternion` (4,), w x y z, and `velocity` (3,) of the body in the
-            world, metres and m/s; `goal` (3,), world metres; `time_s` (1,). With n = `scans` - 1
-            above 0 also the scans before, the latest first: `earlier_ranges` (n, *sensor.shape),
-            `earlier_position` (n, 3), `earlier_quaternion` (n, 4) and `earlier_time_s` (n, 1); at
-            the begin of a flight, the oldest one again.
+            world, metres and m/s, with the errors of the odometry; `goal` (3,), world metres;
+            `time_s` (1,). With n = `scans` - 1 above 0 also the scans before, the latest first:
+            `earlier_ranges` (n, *sensor.shape), `earlier_position` (n, 3), `earlier_quaternion`
+            (n, 4) and `earlier_time_s` (n, 1); at the begin of a flight, the oldest one again.
 
         Raises:
             GenerationError: The noise does not fit the world.
@@ -167,6 +210,12 @@ class Simulation:
         hit = np.isfinite(ranges)
         points = np.zeros((*ranges.shape, 3))
         points[hit] = pose.to_body(seen.points())
+        velocity = self.state[VELOCITY].copy()
+        if self._odometry:
+            turn = Pose.level(np.zeros(3), self._odometry.yaw_rad)
+            attitude = chained(turn, Pose(np.zeros(3), pose.quaternion)).quaternion
+            pose = Pose(self._odometry.position.copy(), attitude)
+            velocity = self._odometry.told(velocity)
         scan = {
             "ranges": ranges,
             "position": pose.position.copy(),
@@ -184,7 +233,7 @@ class Simulation:
         return {
             **scan,
             "points": points.astype(np.float32),
-            "velocity": self.state[VELOCITY].copy(),
+            "velocity": velocity,
             "goal": np.array(self.mission.goal),
             **before,
         }
@@ -206,12 +255,14 @@ class Simulation:
         """
         before_m, vehicle = self._left_m(), self.vehicle
         low, high = np.array(self.mission.bounds)
-        if self._body:
-            states, pull = self._body.advance(command), self._body.max_pull
-        else:
-            states, pull = advance(self.state, command, vehicle), max_pull(vehicle)
+        if self._odometry:
+            turned = self._odometry.told(command[:3].astype(float), -1)
+            command = np.array([*turned, command[3]], np.float32)
+        self._commands.appendleft(command)
+        states, pull = self._flown(), self._body.max_pull if self._body else max_pull(vehicle)
         stray = pull * STEP_S * STEP_S / 8
-        radius, self._turning = vehicle.radius_m + stray, float(command[3])
+        radius = vehicle.radius_m + stray
+        self._turning = float(self._commands[self._late_periods][3])
         position: Any = tuple(self.state[POSITION].tolist())
         free, flown, now_s = self.clearances_m[-1], len(states), self.time_s
         for number, at in enumerate(states[:, POSITION], start=1):
@@ -240,6 +291,8 @@ class Simulation:
         # what was seen counts, too: noise or a sensor may differ while the robot flies the same
         if self._digest is not None:
             self._digest.update(self._seen + states[:flown].tobytes())
+        if self._odometry:
+            self._odometry.move(states[flown - 1, POSITION] - self.state[POSITION])
         self.state = states[flown - 1]
         self.periods += 1
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S
@@ -247,6 +300,21 @@ class Simulation:
         if self.outcome is None and self.time_s >= self.most_s:
             self.outcome = "timeout"
         return before_m - self._left_m() + prize
+
+    def _flown(self) -> Floats:
+        """States (STEPS, 11) of a period: first by the command that is still followed."""
+        state, parts = self.state, []
+        late, periods = self._late_steps, self._late_periods
+        for steps, command in ((late, periods + 1), (STEPS - late, periods)):
+            if steps:
+                given = self._commands[command]
+                parts.append(
+                    self._body.advance(given, steps)
+                    if self._body
+                    else advance(state, given, self.vehicle, steps)
+                )
+                state = parts[-1][-1]
+        return np.concatenate(parts)
 
     def _free(self, point: Vector, time_s: float) -> float:
         """Distance of a point from the nearest solid or mover, metres, at most `CAP_M`."""

@@ -105,9 +105,8 @@ def test_who_knows_a_world_without_movers_plans_by_it_alone(name):
 
 
 def test_braking_keeps_the_stopping_distance():
-    about = {
-        name: np.array(value) for name, value in (("acceleration_mps2", 4.0), ("jerk_mps3", 30.0))
-    }
+    facts = {"acceleration_mps2": 4.0, "jerk_mps3": 30.0, "latency_s": 0.05}
+    about = {name: np.array(value) for name, value in facts.items()}
     for length in (0.7, 1.5, 6.0):
         assert stopping_m(stopping_mps(length, about), about) == pytest.approx(length)
     assert stopping_mps(-1.0, about) == 0.25

@@ -23,9 +23,9 @@ from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, read_recording, replay
 from scenegen.fly.loop import HOVER, fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
-from scenegen.fly.motion import STEP_S, Quadrotor, advance, max_pull, pose_of
+from scenegen.fly.motion import STEP_S, STEPS, Quadrotor, advance, max_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
-from scenegen.fly.simulation import Simulation, bounded
+from scenegen.fly.simulation import Odometry, Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds import kinds as recipes
 from scenegen.worlds.clearance import Clearance
@@ -60,6 +60,11 @@ def balls():
     return world_of(
         *(f'<geom type="sphere" pos="{x} {y} {z}" size="{r}"/>' for x, y, z, r in BALLS)
     )
+
+
+def far():
+    """A world with nothing in the way."""
+    return world_of('<geom type="sphere" pos="0 0 -9" size=".1"/>')
 
 
 def flown_by(robot, **options):
@@ -196,6 +201,52 @@ def test_a_flight_has_the_same_bits_everywhere(rng):
         flying.observe()
         flying.step(bounded(rng.normal(0.0, 1.0, 4), VEHICLE)[0][0])  # type: ignore[index]
     assert flying.digest == DIGEST
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "periods", "steps"), [(0.05, 0, 8), (0.1, 1, 0), (0.2, 2, 0)]
+)
+@pytest.mark.parametrize("dynamics", ["kinematic", "mujoco"])
+def test_a_command_is_followed_late(latency_s, periods, steps, dynamics):
+    vehicle, commands = (
+        Vehicle(dynamics=dynamics),
+        bounded([[1.0, 0.5, 0, 0.3], [2, -1, 0, 0]], VEHICLE),
+    )
+    late = simulation(far(), vehicle=vehicle, rules=Rules(latency_s=latency_s))
+    soon = simulation(far(), vehicle=vehicle)
+    for command in commands[0]:
+        late.step(command)
+    for command in [*HOVER] * periods + [*commands[0]]:
+        soon.step(command)
+    states, at_once = (np.concatenate(one.states[1:]) for one in (late, soon))
+    whole = 2 * STEPS if periods else STEPS
+    assert_equal(states[steps : steps + whole], at_once[:whole])
+
+
+def test_drift_is_a_walk_of_the_robots_pose():
+    rules = Rules(drift_m=0.5, drift_deg=2.0)
+    ends = []
+    for seed in range(300):
+        odometry = Odometry(np.zeros(3), rules, seed)
+        for _ in range(100):
+            odometry.move(np.array([0.0, 0.0, 1.0]))
+        ends.append([*odometry.position - [0, 0, 100], math.degrees(odometry.yaw_rad)])
+    assert_allclose(np.std(ends, axis=0), [0.5, 0.5, 0.5, 2.0], rtol=0.15)
+
+
+def test_a_robot_whose_yaw_is_wrong_flies_beside_its_course():
+    flight = simulation(far(), rules=Rules(drift_deg=1e-9))
+    flight._odometry.yaw_rad = math.radians(30)
+    for _ in range(20):
+        flight.step(np.array([1.0, 0, 0, 0], np.float32))
+    seen = flight.observe()
+    assert_allclose(seen["velocity"], [1, 0, 0], atol=1e-3)
+    assert_allclose(
+        seen["position"] - [0, 0, 2], [flight.state[0] / math.cos(math.pi / 6), 0, 0], atol=1e-6
+    )
+    assert flight.state[1] == pytest.approx(-flight.state[0] * math.tan(math.pi / 6), abs=1e-6)
+    w, x, y, z = seen["quaternion"]
+    assert math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) == pytest.approx(math.pi / 6)
 
 
 def test_a_robot_sees_nothing_that_its_sensor_does_not():
@@ -353,8 +404,9 @@ def entry_of(*flights, **options):
     return Recording(**{"robot": "scripted", "suite": None} | options, courses=list(flights))
 
 
-def test_a_recording_flies_again(tmp_path):
-    course = course_of(2)
+@pytest.mark.parametrize("rules", [Rules(), Rules(latency_s=0.13, drift_m=2.0, drift_deg=5.0)])
+def test_a_recording_flies_again(rules, tmp_path):
+    course = replace(course_of(2), rules=rules)
     flown = [fly(course.simulation(n), Scripted(straight(0.1 * n))) for n in range(2)]
     file, content = tmp_path / "flights.json", entry_of((course, flown)).encoded()
     file.write_bytes(content)
