@@ -23,7 +23,7 @@ from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course, read_recording
 from scenegen.fly.loop import Flown
 from scenegen.model.bench.statistics import holm, paired_p
-from scenegen.model.robots import BRAKES
+from scenegen.model.robots import BRAKES, parted
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 
 DENSITIES = ("light", "medium", "dense")
@@ -119,8 +119,8 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
             )
             for kind, n in product(KINDS, range(given.worlds))
         ]
-        robot, brakes, _ = name.partition(BRAKES)
-        work = partial(fly_course, robot=robot, weights=None, brakes=bool(brakes))
+        robot, brakes = parted(name)
+        work = partial(fly_course, robot=robot, weights=None, brakes=brakes)
         fly_courses(courses, work, name, None, file, crew_of(ALONE))
         print(file, flush=True)
     return [one for _, several in read_recording(file).courses for one in several]

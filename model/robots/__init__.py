@@ -19,6 +19,37 @@ BRAKING = tuple(name for name in MAPPING if name not in ("truth", FORESEEING))
 """Robots that can brake for what they have not seen; a network's can, too."""
 BRAKES = ", brakes"
 """End of the name of a robot that does."""
+LEAST_DOUBT = 0.2
+"""The least risk of a voxel that nothing has seen: `PlanConfig.unseen_risk`."""
 REACTIVE = "reactive"
 """Name of the robot without a map."""
 NAMES = (*MAPPING, REACTIVE)
+
+
+def named(robot: str, brakes: float | None) -> str:
+    """Name a robot that brakes.
+
+    Args:
+        robot: The robot's name.
+        brakes: See `MappingRobot`.
+
+    Returns:
+        The name, such as "optimistic", "extrude, brakes" or "anywhere, brakes at 0.3".
+    """
+    return robot if brakes is None else f"{robot}{BRAKES}" + (f" at {brakes:g}" if brakes else "")
+
+
+def parted(name: str) -> tuple[str, float | None]:
+    """Take apart what `named` made.
+
+    Args:
+        name: Name of a robot.
+
+    Returns:
+        Its name without brakes; and `brakes`.
+    """
+    robot, brakes, at = name.partition(BRAKES)
+    try:
+        return robot, float(at.removeprefix(" at ") or 0) if brakes else None
+    except ValueError:  # somebody else's robot
+        return name, None

@@ -168,7 +168,7 @@ class TrackingRobot(AvoidingRobot):
         brakes: See `MappingRobot`.
     """
 
-    def __init__(self, *, predicts: bool, brakes: bool = False):
+    def __init__(self, *, predicts: bool, brakes: float | None = None):
         super().__init__(Returns(), brakes=brakes)
         self._predicts = predicts
 

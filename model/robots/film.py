@@ -21,7 +21,7 @@ from scenegen.fly.loop import Flown
 from scenegen.fly.motion import POSITION, VELOCITY
 from scenegen.fly.simulation import HITS, Observation, Simulation
 from scenegen.model.config import split_own
-from scenegen.model.robots import BRAKES, FORGETFUL, NAMES
+from scenegen.model.robots import FORGETFUL, NAMES, parted
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route, field_of_view
@@ -219,9 +219,9 @@ def looks_of_recording(path: Path, number: int = 0) -> list[Look]:
 def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
     """Return what makes the robot of a recording: one of scenegen's own, or one with the network
     whose bytes the recording names; else None."""
-    name, brakes, _ = recording.robot.partition(BRAKES)
+    name, brakes = parted(recording.robot)
     if not recording.network:
-        return robot_maker(name, None, bool(brakes)) if name in NAMES else None
+        return robot_maker(name, None, brakes) if name in NAMES else None
     from scenegen.model.completion.completer import HUB, locate  # imports torch
 
     weights, last_scan, _ = name.partition(", last scan")
@@ -233,4 +233,4 @@ def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
     except ScenegenError:
         return None
     robot = FORGETFUL if last_scan else ""
-    return robot_maker(robot, weights, bool(brakes)) if is_same else None
+    return robot_maker(robot, weights, brakes) if is_same else None

@@ -47,14 +47,16 @@ COUNTS = ("late", "invalid", "speeding")
 """Figures of a flight of which a summary has the sum."""
 
 
-def robot_maker(name: str, weights: str | None, brakes: bool = False) -> Callable[[Course], Any]:
+def robot_maker(
+    name: str, weights: str | None, brakes: float | None = None
+) -> Callable[[Course], Any]:
     """Return a function that makes the robot for a course.
 
     Args:
         name: One of `NAMES`, or a user's own robot, which runs in a process of its own.
         weights: A network by which a robot that maps completes: the map of all scans, or of the
             last scan if `name` is "returns".
-        brakes: Whether a robot that maps brakes for what it has not seen, see `MappingRobot`.
+        brakes: If given, a robot that maps brakes for what it has not seen, see `MappingRobot`.
 
     Returns:
         The function.
@@ -108,7 +110,7 @@ def fly_course(
     *,
     robot: str,
     weights: str | None,
-    brakes: bool = False,
+    brakes: float | None = None,
     hidden: int | None = None,
 ) -> FlownCourse:
     """Fly all flights of a course, one after the other, by the same robot.

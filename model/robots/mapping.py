@@ -68,8 +68,9 @@ class MappingRobot:
         doubts: Whether observations outweigh predictions: a path stands until observed voxels make
             it narrower, and may lead through predicted voxels if there is no other. Predictions
             change as the vehicle moves.
-        brakes: Whether it is never faster than it can stop before the first voxel of its path that
-            no ray has crossed or returned from.
+        brakes: If given, it is never faster than it can stop before the first voxel of its path
+            that no ray has crossed or returned from, and that is occupied with at least this
+            probability. 0 for all of them.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class MappingRobot:
         memory: bool = True,
         frontier: bool = False,
         doubts: bool = False,
-        brakes: bool = False,
+        brakes: float | None = None,
     ):
         self._completer, self._memory, self._frontier = completer, memory, frontier
         self._doubts, self._brakes = doubts, brakes
@@ -123,6 +124,8 @@ class MappingRobot:
         """Make all voxels free and without risk, until the window covers them."""
         shape, far = self._fence.shape, self.grid.truncation_m
         self._distance, self._risk = np.full(shape, far, np.float32), np.zeros(shape, np.float32)
+        self._clear = np.zeros(shape, bool)
+        """Voxels that are likely enough to be free that it does not brake for them."""
         self._seen = self._distance.copy() if self._doubts else self._distance
         """Distances from occupied voxels, and from those among them that were observed."""
 
@@ -146,7 +149,7 @@ class MappingRobot:
         self.path = path
         if path is None:
             return no_way(self._about)
-        seen = self._known_at if self._brakes else None
+        seen = None if self._brakes is None else self._known_at
         return follow(path, observation, self._about, self._room, seen)
 
     def taken(self) -> Mask:
@@ -159,10 +162,11 @@ class MappingRobot:
         return np.array([field_at(field, x, y, z, voxel_m)[0] for x, y, z in points - self._start])
 
     def _known_at(self, points: Floats) -> Mask:
-        """Whether rays crossed the voxels of points (n, 3), world metres, or returned from them."""
+        """Whether rays crossed the voxels of points (n, 3), world metres, or returned from them, or
+        they are clear by the prediction."""
         voxels = np.floor(points / self.grid.voxel_m).astype(np.int64) - self._least
         voxels = np.clip(voxels, 0, np.array(self._known.shape[1:]) - 1)
-        return np.asarray(self._known[:, *voxels.T].any(axis=0))
+        return np.asarray(self._known[:, *voxels.T].any(axis=0) | self._clear[self._voxels(points)])
 
     @property
     def origin(self) -> Floats:
@@ -237,6 +241,8 @@ class MappingRobot:
         if self._doubts:
             self._seen[in_fence] = distance_field(self.observed, self.grid)[in_window]
         self._risk[in_fence] = risk[in_window]
+        if self._brakes:
+            self._clear[in_fence] = risk[in_window] < self._brakes
 
     def _remaining(self, observation: Observation) -> Floats | None:
         """Return the rest of the last path, (n, 3) world metres; None if its end is reached, or if

@@ -35,7 +35,15 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
 from scenegen.fly import SUITES, Rules, Vehicle
-from scenegen.model.robots import BRAKES, BRAKING, FORGETFUL, MAPPING, NAMES, REACTIVE
+from scenegen.model.robots import (
+    BRAKING,
+    FORGETFUL,
+    LEAST_DOUBT,
+    MAPPING,
+    NAMES,
+    REACTIVE,
+    named,
+)
 from scenegen.worlds.traffic import PRESETS as TRAFFIC
 
 if TYPE_CHECKING:
@@ -66,6 +74,12 @@ robot_options = together(
         is_flag=True,
         help="On its path, the robot is never faster than it can stop before the first voxel that "
         "it has not seen, but at least 0.25 m/s.",
+    ),
+    click.option(
+        "--doubt",
+        type=click.FloatRange(LEAST_DOUBT, 1, min_open=True),
+        help="With --brakes: only for unseen voxels whose predicted probability of being occupied "
+        "is at least this.",
     ),
 )
 picture_options = together(
@@ -158,7 +172,8 @@ def fly() -> None:
 @out_option("File for a recording of the flights, .json.")
 @picture_options
 @group(
-    "Robot", "robot weights brakes scans latency drift drift-deg radius speed acceleration dynamics"
+    "Robot",
+    "robot weights brakes doubt scans latency drift drift-deg radius speed acceleration dynamics",
 )
 @group("Courses", "flights worlds difficulty movers apart moving seed")
 def world(
@@ -226,7 +241,7 @@ def world(
 )
 @out_option("The entry, .json; an unfinished one is continued.")
 @picture_options
-@group("Robot", "robot weights brakes")
+@group("Robot", "robot weights brakes doubt")
 @group("Courses", "quick hidden maps")
 def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
     """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19.
@@ -258,6 +273,7 @@ def _fly(
     robot: str,
     weights: str | None,
     brakes: bool,
+    doubt: float | None,
     out: Path | None,
     verbose: bool,
     execute: Executor,
@@ -269,7 +285,7 @@ def _fly(
     """Fly through courses, record the flights, and print and draw them."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
-    robot_settings = robot, weights, brakes
+    robot_settings = robot, weights, _braking(brakes, doubt)
     name, network, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
     first = real_course(courses[0], hidden)
@@ -287,8 +303,15 @@ def _fly(
     _show(flown, name, robot_settings, hidden=hidden, crew=crew, files=[out], **drawing)
 
 
+def _braking(brakes: bool, doubt: float | None) -> float | None:
+    """Return `brakes` of a robot, see `robot_maker`. Raises UsageError for --doubt alone."""
+    if doubt is not None and not brakes:
+        raise click.UsageError("--doubt says for what the robot brakes; add --brakes")
+    return (doubt or 0.0) if brakes else None
+
+
 def _begin(
-    robot_settings: tuple[str, str | None, bool],
+    robot_settings: tuple[str, str | None, float | None],
     hidden: int | None,
     log: Path | None,
     execute: Executor,
@@ -309,7 +332,7 @@ def _begin(
     from scenegen.model.robots.flights import fly_course
 
     robot, weights, brakes = robot_settings
-    if brakes and weights is None and robot not in BRAKING:
+    if brakes is not None and weights is None and robot not in BRAKING:
         raise click.UsageError(
             f"--brakes: {robot} has no map of what it has seen; expected --weights, or --robot "
             f"{', '.join(BRAKING)}"
@@ -328,7 +351,7 @@ def _begin(
     if weights is not None:
         name = f"{weights}, last scan" if robot == FORGETFUL else weights
         network = file_sha256(locate(weights))
-    name += BRAKES * brakes
+    name = named(name, brakes)
     work = partial(fly_course, robot=robot, weights=weights, brakes=brakes, hidden=hidden)
     return name, network, work
 
@@ -338,13 +361,14 @@ def _begin(
 @robot_options
 @track_options("Number of an entry's hidden track.", "Folder of an entry's maps.")
 @picture_options
-@group("Robot", "robot weights brakes")
+@group("Robot", "robot weights brakes doubt")
 @group("Courses", "hidden maps")
 def replay(
     path: Path,
     robot: str,
     weights: str | None,
     brakes: bool,
+    doubt: float | None,
     hidden: int | None,
     maps: Path | None,
     verbose: bool,
@@ -365,7 +389,7 @@ def replay(
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
     track = _track(hidden, maps)
-    robot_settings = robot, weights, brakes
+    robot_settings = robot, weights, _braking(brakes, doubt)
     pilot, _, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, track, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
@@ -413,7 +437,7 @@ for subcommand in (world, suite, replay, rank):
 def _show(
     flown: "Flights",
     name: str,
-    filmed: tuple[str, str | None, bool] | None,
+    filmed: tuple[str, str | None, float | None] | None,
     notes: Mapping[str, str] = MappingProxyType({}),
     differing: "Sequence[Flown]" = (),
     *,

@@ -12,8 +12,8 @@ from scenegen.fly.course import Course
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
-from scenegen.model.completion.protocol import Returns
-from scenegen.model.robots import FORESEEING
+from scenegen.model.completion.protocol import Prediction, Returns
+from scenegen.model.robots import FORESEEING, named, parted
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.flights import robot_maker
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
@@ -115,7 +115,7 @@ def test_braking_keeps_the_stopping_distance():
 def test_a_robot_that_brakes_could_stop_before_what_it_has_not_seen(monkeypatch):
     """Nothing is seen beyond x = 0."""
     fastest = []
-    for brakes in (False, True):
+    for brakes in (None, 0.0):
         robot = MappingRobot(Returns(), brakes=brakes)
         monkeypatch.setattr(robot, "_known_at", lambda points: points[:, 0] < 0)
         flying = crossing(HALL, -4.0, speed_mps=4.0)
@@ -129,3 +129,29 @@ def test_a_robot_that_brakes_could_stop_before_what_it_has_not_seen(monkeypatch)
     assert fastest[0] > 0.5
     # at its slowest, 0.25 m/s, it goes on
     assert fastest[1] < 0.04
+
+
+class Doubtful:
+    """Predicts .5 beyond x = 1 m, and .05 before."""
+
+    def complete(self, observed, free, *, grid, seen):
+        beyond = grid.centres(seen.origin)[..., 0] > 1
+        return Prediction(np.where(beyond, 0.5, 0.05).astype(np.float32))
+
+
+@pytest.mark.parametrize(("brakes", "clear"), [(0.0, False), (0.3, True)])
+def test_what_is_likely_free_counts_as_seen(brakes, clear):
+    robot = MappingRobot(Doubtful(), brakes=brakes)
+    flying = crossing(HALL, -4.0)
+    robot.reset(flying.about())
+    blind = flying.observe()
+    blind["ranges"][:] = np.nan
+    robot.act(blind)
+    # likely free; doubtful; not in the window yet
+    points = np.array([[-3.0, 0.0, 1.0], [2.0, 0.0, 1.0], [5.0, 0.0, 1.0]])
+    assert robot._known_at(points).tolist() == [clear, False, False]
+
+
+@pytest.mark.parametrize("brakes", [None, 0.0, 0.3])
+def test_names_tell_how_a_robot_brakes(brakes):
+    assert parted(named("anywhere", brakes)) == ("anywhere", brakes)
