@@ -139,9 +139,9 @@ def render(
         figure = draw(looks, "paths" if flight else "", title=Path(source).name, paper=size)
     content = to_bytes(figure, out.suffix)
     write_result(out, content)
-    for line in notes:
-        info(line)
     if not quiet:
+        for line in notes:
+            info(line)
         echo(f"{out}: {len(content) / 1e3:.0f} KB")
 
 
@@ -172,15 +172,16 @@ def _draw_samples(
     if len(looked) == 1:
         title += f", {looked[0].name}"
     if figure == "world":
-        return _draw_archived(dataset, split, numbers[0], title, paper), notes
+        return _draw_archived(dataset, split, numbers[0], title, paper)
     figure = figure or ("completions" if methods else "sample")
     return draw(looked, figure, title=title, paper=paper), notes
 
 
 def _draw_archived(
     dataset: "AnyDataset", split: str, index: int, title: str, paper: "Paper"
-) -> Any:
-    """Draw the world of a sample, with the map's box and all viewpoints of the world."""
+) -> tuple[Any, list[str]]:
+    """Draw the world of a sample, with the map's box and all viewpoints of the world; return the
+    figure, and a line if the world reaches beyond it."""
     import numpy as np
 
     from scenegen.view.opened import look_of_world
@@ -192,7 +193,8 @@ def _draw_archived(
     places = np.stack([samples[n].position for n in of_world[:MAX_ON_SHEET]])
     look = look_of_world(dataset.compile(split, int(sample.world)), title)
     box = sample.origin, sample.origin + dataset.grid.extent_m
-    return draw([with_path(look, "flight", places)], "paths", title=title, paper=paper, box=box)
+    looks = [with_path(look, "flight", places)]
+    return draw(looks, "paths", title=title, paper=paper, box=box), list(look.missing)
 
 
 def _with_flight(look: Any, path: Path, seed: int) -> Any:

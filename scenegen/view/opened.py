@@ -34,6 +34,8 @@ voxels coarse."""
 MIN_REACH_M = (5.0, 5.0, 2.0)
 """Least distance along x, y and z from a log's sensor to the faces of its box, metres: a first scan
 may be of a wall near by."""
+SLACK_M = 0.01
+"""Solids that reach so little beyond a box do not count, metres."""
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 """Attitude of a sensor whose attitude is not known."""
 
@@ -182,7 +184,7 @@ def look_of_world(world: Any, name: str) -> Look:
 
     corners = world.flight_bounds.copy()
     surfaces: Any = ()
-    timeline = None
+    timeline, notes = None, list[str]()
     if isinstance(world, Place):
         corners = world.voxels.bounds
     elif isinstance(world, World):
@@ -193,6 +195,17 @@ def look_of_world(world: Any, name: str) -> Look:
         bounded = solids.lower[np.isfinite(solids.lower).all(axis=1)]
         heights = [*bounded[:, 2], *solids.triangles.reshape(-1, 3)[:, 2]]
         corners[0, 2] = min([corners[0, 2], *heights])
+        lower, upper = solids.boxes
+        beyond = (lower < corners[0] - SLACK_M) | (upper > corners[1] + SLACK_M)
+        if count := np.count_nonzero(beyond.any(axis=1) & np.isfinite(lower).all(axis=1)):
+            ranges = ", ".join(
+                f"{axis} {round(low, 2) + 0:g} to {high:.4g} m"
+                for axis, low, high in zip("xyz", *corners, strict=True)
+            )
+            notes.append(
+                f"voxels are drawn where the sensor may fly, {ranges}; {count} of {len(lower)} "
+                "solids reach beyond"
+            )
         surfaces = surfaces_of(world)
         if movers := world.movers:
             timeline = Timeline(movers=movers, scan_times=np.zeros(1), end_s=movers.period_s)
@@ -211,6 +224,7 @@ def look_of_world(world: Any, name: str) -> Look:
         known=truth.get("known"),
         surfaces=surfaces,
         timeline=timeline,
+        missing=tuple(notes),
     )
 
 

@@ -132,6 +132,10 @@ def test_a_world_is_shown_with_its_surfaces():
     (look,) = opened.looks_of_world(path)
     truth = read_world(path).truth(look.grid, look.origin)["occupancy"]
     assert_array_equal(look.masks["occupancy"], truth)
+    assert look.missing == (
+        "voxels are drawn where the sensor may fly, x -11 to 11 m, y -7 to 7 m, z -0.2 to 5 m; "
+        "103 of 240 solids reach beyond",
+    )
     (sample,) = samples_of(page_of(str(path)).html)
     corners = np.frombuffer(gzip.decompress(base64.b64decode(sample["triangles"])), "<f4")
     assert len(corners) == sum(mesh.triangles.size for mesh in look.surfaces)
