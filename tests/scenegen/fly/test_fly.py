@@ -3,6 +3,8 @@
 import hashlib
 import json
 import math
+import shutil
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -30,7 +32,7 @@ from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_o
 from scenegen.worlds import kinds as recipes
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.world import compile_world
-from tests.command_line import rows
+from tests.command_line import ROOT, rows
 from tests.conftest import hall_in
 from tests.lidarsim.test_movers import three_movers
 from tests.refusals import refuses
@@ -366,6 +368,19 @@ def test_nothing_that_a_robot_began_is_left(tmp_path, capfd):
     assert cores == "1"
     assert not Path(f"/proc/{child}").exists()
     assert 1000 < len(capfd.readouterr().err) < 20_000
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+def test_a_robot_in_another_language_flies(tmp_path):
+    source, program = ROOT / "docs" / "examples" / "my_robot.cpp", tmp_path / "my_robot"
+    subprocess.run(["g++", "-std=c++17", str(source), "-o", str(program)], check=True)
+    with closing(PipeRobot([str(program)])) as robot:
+        flown = flown_by(robot)
+    assert (flown.outcome, flown.invalid) == ("collision", 0)
+    away = np.array([8.0, 0.0, 2.0]) - flown.path[:-1]
+    expected = 1.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    assert_allclose(flown.commands[:, :3], expected, atol=1e-6)
 
 
 def test_a_robot_that_never_begins_is_asked_a_few_times_only():
