@@ -36,7 +36,7 @@ UNIT = re.compile(r", (metres|degrees)( a second( squared| cubed)?)?(?=[.;:]| \(
 WORLD = "; one value a world"
 AREA = re.compile(r",? per square metre(?=\.)")
 """What the end `density` of a name tells."""
-CALIBRATED = "calibrated, results/calibration.md."
+CALIBRATED = "calibrated, results/findings.md."
 """Source of some defaults of `geometric` and `pillar`, which the page names above its tables."""
 SHARED = ("size_m", "ground", "ground_m")
 """Parameters of every kind of worlds, which stand in a table of all kinds."""
