@@ -426,8 +426,8 @@ class PlanConfig(Checked):
     risk_weight: float = number(10.0, minimum=0)
     """Careful planner: cost of a metre at risk 1, in metres of detour (ours)."""
     safety_m: float = number(1.0, minimum=0)
-    """d_s, the clearance below which waypoints are pushed away, metres (ours; the paper gives no
-    value)."""
+    """d_s, the clearance below which waypoints are pushed away, metres; the paper gives no value
+    (ours)."""
     clearance_weight: float = number(1.0, minimum=0)
     """lambda_c: weight of squared clearance deficits against squared second differences (paper)."""
     field: Literal["predicted", "transform"] = "predicted"
