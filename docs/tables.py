@@ -36,14 +36,13 @@ UNIT = re.compile(r", (metres|degrees)( a second( squared| cubed)?)?(?=[.;:]| \(
 WORLD = "; one value a world"
 AREA = re.compile(r",? per square metre(?=\.)")
 """What the end `density` of a name tells."""
-CALIBRATED = "calibrated, results/calibration.md."
-"""Source of some defaults of `geometric` and `pillar`, which the page names above its tables."""
 SHARED = ("size_m", "ground", "ground_m")
 """Parameters of every kind of worlds, which stand in a table of all kinds."""
 
 
 def meanings(kind: type) -> dict[str, str]:
-    """The docstring of every field of a dataclass, its bases' included, on one line."""
+    """The docstring of every field of a dataclass, its bases' included, on one line, without the
+    source of its default."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
         try:
@@ -57,7 +56,7 @@ def meanings(kind: type) -> dict[str, str]:
                     value=ast.Constant(value=str(text))
                 ):
                     meaning = " ".join(text.split()).replace("|", "/").replace(" (ours)", "")
-                    found[name] = UNIT.sub("", meaning)
+                    found[name] = UNIT.sub("", meaning.partition(" Source: ")[0])
     return found
 
 
@@ -84,21 +83,18 @@ def table(kind: type[Any]) -> str:
 def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
     """The parameters that only this kind of worlds has: name (with a star where one value is drawn
     for a world), the values of its three presets (a single value where they do not differ), and the
-    meaning. The meaning ends with the values
-    allowed, where the name does not tell them, and with the source of the default, if any."""
+    meaning, with the values allowed where the name does not tell them."""
     lines = ["| parameter | easy · medium · hard | meaning |", "|---|---|---|"]
     for item in dataclasses.fields(kind):
         if item.name in SHARED:
             continue
         usual = bounds_by_name(item.name, item.default)
         bounds = item.metadata.get(BOUNDS, usual)
-        meaning, _, source = said[item.name].partition(" Source: ")
+        meaning = said[item.name]
         if item.name.endswith("_share"):
             meaning = re.sub("^Share of (.)", lambda found: found[1].upper(), meaning)
         if str(bounds) != str(usual):
             meaning += f" Allowed: {_allowed(bounds)}."
-        if source and source != CALIBRATED:
-            meaning += f" Source: {source}"
         levels = [
             kind.graded.get(level, {}).get(item.name, item.default)
             for level in ("easy", "medium", "hard")

@@ -192,10 +192,9 @@ class NetworkConfig:
     variant: str = "proposed"
     """Which of `VARIANTS`, or one's own as module:Class."""
     inputs: tuple[str, ...] = ("observed",)
-    """Names of the channels that the network takes, in their order (paper: the voxels that hold a
-    return, alone); one's own as module:function."""
+    """Input channels, in their order (paper: `observed` alone); one's own as module:function."""
     targets: tuple[str, ...] = ()
-    """Names of what it predicts besides its variant's tasks; one's own as module:Class."""
+    """Further targets, each as module:Class."""
     channels: tuple[int, ...] = number((), minimum=1, maximum=MAX_CLASSES)
     """How many channels each of these has; `train` takes it from the data."""
     width: int = number(8, minimum=1, maximum=MAX_WIDTH)
@@ -203,8 +202,7 @@ class NetworkConfig:
     heads: int = number(4, minimum=1)
     """Heads of the self-attention (ours)."""
     height: int = number(40, minimum=2**LEVELS, maximum=MAX_HEIGHT)
-    """Voxels of a map from bottom to top, for variants that see columns whole and for one's own;
-    `train` takes it from the data."""
+    """Voxels of a map in z, for `columns` and for one's own; `train` takes it from the data."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -308,21 +306,21 @@ class TrainConfig:
     epochs: int = number(100, minimum=1, maximum=MAX_EPOCHS)
     """Passes over the maps, at most (ours)."""
     maps: int | None = number(None, minimum=1, maximum=MAX_MAPS)
-    """Maps seen, at most; where it is given, the number of passes follows from it (ours)."""
+    """Maps seen, at most; it replaces `epochs` (ours)."""
     interval: int | None = number(None, minimum=1, maximum=MAX_MAPS)
-    """Maps between two looks at validation; a pass over all maps unless given (ours)."""
+    """Maps between two validations; by default, all maps once (ours)."""
     batch: int = number(8, minimum=1, maximum=MAX_BATCH)
     """Maps a step, over all devices (ours)."""
     optimizer: Literal["muon", "adamw"] = "muon"
-    """What makes a step of a gradient; docs/training.md compares them (ours)."""
+    """The optimiser; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
     """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, minimum=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     schedule: Literal["decay", "constant"] = "decay"
-    """How the learning rate falls. "decay": when validation stalls or the budget nears its end, it
-    falls linearly to 0, where training ends (ours). "constant": never, without a warm-up; training
-    ends where validation stalls."""
+    """The learning rate. "decay": once validation stalls or the budget nears its end, it falls
+    linearly to 0, and training ends (ours). "constant": no warm-up; training ends when validation
+    stalls."""
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, minimum=0)
@@ -334,19 +332,19 @@ class TrainConfig:
     patience: int = number(10, minimum=1)
     """Rounds without a lower validation loss after which validation has stalled (paper: epochs)."""
     choose: Literal["loss", "occupancy", "last"] = "loss"
-    """Which network of a run is kept: that of the lowest validation loss, of the lowest occupancy
-    loss, or the last (ours)."""
+    """The network that is kept: of the lowest validation loss, the lowest occupancy loss, or the
+    last (ours)."""
     augment: bool = True
-    """Whether maps are turned about the sensor at random, and mirrored where its rays allow it
-    (ours)."""
+    """Whether maps are rotated about the sensor at random, and mirrored if its rays are
+    mirror-symmetric (ours)."""
     points_share: float = number(0.0, minimum=0, maximum=1)
     """Share of maps that are shown as points only: rays without a return free nothing. Not for maps
     of several scans (ours)."""
     seed: int = number(0, minimum=0, maximum=MAX_SEED)
     """Seed of the first weights and of the order of samples."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Type of the network's arithmetic; losses and weights are float32. Auto means bfloat16 where
-    the device has instructions for it."""
+    """Type of the network's arithmetic; losses and weights are float32. "auto": bfloat16 if the
+    device has instructions for it."""
     compile: bool = False
     """Whether to run the network through torch.compile: slower on CPUs (docs/log)."""
 
@@ -415,31 +413,26 @@ class PlanConfig(Checked):
     """
 
     planner: Literal["paper", "careful"] = "paper"
-    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too;
-    the start's voxel is free; paths are weighed by their risk; a refined path that is riskier than
-    that of A* is discarded (ours)."""
+    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too,
+    and paths are weighed by their risk (ours)."""
     step_voxels: int = number(3, minimum=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
-    """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone
-    (ours)."""
+    """Whether A* also requires that the voxels between two nodes are free (ours)."""
     careful_probability: float = number(0.95, above=0, below=1)
-    """The careful planner holds a voxel occupied whose probability is greater than this (ours)."""
+    """Careful planner: probability above which a voxel is blocked (ours)."""
     unseen_risk: float = number(0.2, minimum=0, below=1)
-    """The least risk of a voxel that no ray has crossed, to the careful planner, whatever its
-    probability (ours)."""
+    """Careful planner: minimum risk of an unknown voxel (ours)."""
     risk_weight: float = number(10.0, minimum=0)
-    """How many metres of detour the careful planner prefers to one metre through a probability of 1
-    (ours)."""
+    """Careful planner: cost of a metre at risk 1, in metres of detour (ours)."""
     safety_m: float = number(1.0, minimum=0)
-    """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without
-    a value; ours)."""
+    """d_s, the clearance below which waypoints are pushed away, metres; the paper gives no value
+    (ours)."""
     clearance_weight: float = number(1.0, minimum=0)
-    """lambda_c, of the squared clearance deficit against the squared second differences, both in
-    m^2 (paper)."""
+    """lambda_c: weight of squared clearance deficits against squared second differences (paper)."""
     field: Literal["predicted", "transform"] = "predicted"
-    """What the refinement reads: the distances of the prediction, where it has some, or the
-    transform of its occupancy (ours)."""
+    """Distances for the refinement: the predicted ones, if any, or the transform of the occupancy
+    (ours)."""
     iterations: int = number(50, minimum=0)
     """Steps of gradient descent (paper)."""
 

@@ -183,7 +183,7 @@ PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding=
 the mean, and the standard deviation where the paper gives one."""
 TUNED = (
     "The presets of our worlds were tuned until planning on the true map and on the returns alone "
-    "bracketed the paper's Table II or came near it (docs/results/calibration.md), so agreement "
+    "bracketed the paper's Table II or came near it (docs/results/findings.md), so agreement "
     "with that table is in part by construction."
 )
 """Caution that stands beside the paper's figures, wherever they are printed."""

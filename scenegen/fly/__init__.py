@@ -29,14 +29,12 @@ class Vehicle(Checked):
     jerk_mps3: float = number(30.0, minimum=1, maximum=1000)
     """Maximum jerk, metres a second cubed."""
     tilt_deg: float = number(30.0, above=0, maximum=80)
-    """Maximum tilt, degrees. It also bounds the acceleration, to gravity times its sine, so that
-    the vehicle leans less than this."""
+    """Maximum tilt, degrees. It also bounds the acceleration, to gravity times its sine."""
     yaw_rate_deg_s: float = number(90.0, above=0, maximum=360)
     """Maximum yaw rate, degrees a second."""
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
-    """"kinematic": moves exactly within these bounds, with the same bits on every machine.
-    "mujoco": a quadrotor simulated by MuJoCo tracks that motion, with inertia, rotor lag and drag;
-    its bits differ between machines."""
+    """"kinematic": exact motion within these bounds, with the same bits on every machine. "mujoco":
+    a quadrotor simulated by MuJoCo tracks it; its bits differ between machines."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -76,22 +76,19 @@ class Fusing:
     voxel_m: float = number(0.2, minimum=0.01, maximum=10)
     """Edge of a map's voxel, metres."""
     reach_m: float = number(30.0, above=0, maximum=1000)
-    """Maximum length of a ray, metres: a return farther away frees the voxels up to this distance
-    and marks none as occupied."""
+    """Maximum length of a ray, metres: a farther return only frees the voxels up to here."""
     rise_m: float = number(10.0, above=0, maximum=1000)
     """Height of the map above the sensor, and its depth below it, metres."""
     least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
-    """Returns nearer than this are of the vehicle that carries the sensor, and are left out,
-    metres."""
+    """Minimum range of a return, metres; nearer ones are of the vehicle itself."""
     moved_share: float = number(0.2, minimum=0, below=1)
     """A voxel is occupied if at least this share of the scans that observed it have a return in
-    it. If fewer have, a moving object was there, and the voxel is free. Scans that found it free
-    and have a return beside it do not count: rays graze surfaces."""
+    it, else free: something moved. Scans that found it free and have a return beside it do not
+    count, because rays graze surfaces."""
     every: int = number(10, minimum=1, maximum=10**6)
     """One scan in so many is written as an observation."""
     deskew: bool = False
-    """Whether points are corrected for the sensor's motion during a scan: each by its time, along
-    the way to the next scan's pose. For raw scans of a moving sensor."""
+    """Whether each point of a raw scan is corrected by its time for the sensor's motion."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -38,18 +38,17 @@ class Survey(Checked):
     """Parameters of how clouds are read and mapped."""
 
     voxel_m: float = number(0.2, minimum=1e-3, maximum=1e3)
-    """Edge of the map's voxels, metres; they lie at multiples of it, as OctoMap's do."""
+    """Edge of the map's voxels, metres; their boundaries are multiples of it."""
     unit_m: float = number(1.0, minimum=1e-6, maximum=1e3)
     """The unit of the file's lengths, metres."""
     up: Literal["z", "y"] = "z"
-    """The file's axis that points up. Where that is y, its z becomes the map's -y."""
+    """The file's axis that points up. If it is y, its z becomes the map's -y."""
     least_m: float = number(MIN_RETURN_M, minimum=0, maximum=100)
-    """Points nearer than this to the sensor that saw them are no returns, metres."""
+    """Minimum range of a return, metres."""
     height_m: float = number(3.0, above=0, maximum=1e3)
-    """How high the walls of a plan are, metres: see `scenegen.worlds.plan`."""
+    """Height of the walls of a plan, metres."""
     assume_free: bool = False
-    """Whether a voxel without a point is free that lies above the lowest one with a point in its
-    column and was not seen otherwise."""
+    """Whether voxels above the lowest occupied one of their column are free, unless occupied."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,11 @@ class Known(Checked):
     """A recipe's [known]: how much of a map of a real place must be known where a sensor scans."""
 
     most_unknown_m: float = number(0.6, minimum=0, maximum=MAX_LENGTH_M)
-    """A ray that crosses more metres of unknown space than this is not in `ray_known`."""
+    """Maximum unknown space that a ray of `ray_known` crosses, metres."""
     most_marked_share: float = number(0.35, minimum=0, maximum=1)
-    """A viewpoint is rejected when a larger share of its rays is marked."""
+    """Maximum share of a viewpoint's rays that cross more unknown space."""
     least_share: float = number(0.05, minimum=0, maximum=1)
-    """A viewpoint is rejected when a smaller share of its map's voxels is known."""
+    """Minimum share of known voxels of a viewpoint's map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,14 +32,11 @@ class Mapper(Fusion):
     scans: int = number(1, minimum=1, maximum=MAX_SCANS)
     """Scans that make a map: the sample's own, and those before it on the flight."""
     scan_spacing_m: float = number(0.5, minimum=MIN_DRAWN_M, maximum=MAX_LENGTH_M)
-    """Distance from scan to scan along the flight; scans before the start are taken at the
-    start."""
+    """Distance from scan to scan along the flight."""
     tilt_mps: float = number(0.0, minimum=0, maximum=100)
-    """Speed of a flight that tilts the body as a quadrotor's; 0 for a level body, metres a
-    second."""
+    """Speed of a flight that tilts the body, metres a second; 0: a level body."""
     settle_s: float = number(0.5, minimum=0.01, maximum=100)
-    """Seconds before and after a corner over which the flight changes its velocity, where it
-    tilts."""
+    """With tilt: seconds before and after a corner over which the velocity changes."""
     most_tilt_deg: float = number(30.0, above=0, maximum=80)
     """Maximum tilt of the body, degrees."""
     map_ahead_m: tuple[float, float, float] = number(

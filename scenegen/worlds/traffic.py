@@ -30,30 +30,29 @@ class Traffic(Checked):
     drones: tuple[int, int] = number((1, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
     """Drones: flat ellipsoids."""
     person_mps: tuple[float, float] = number((0.6, 1.7), above=0, maximum=4, rising=True)
-    """Speed of people, metres a second: comfortable to brisk walking (Bohannon, "Comfortable and
-    maximum walking speed of adults aged 20-79 years", 1997)."""
+    """Speed of people, metres a second. Source: comfortable to brisk walking (Bohannon,
+    "Comfortable and maximum walking speed of adults aged 20-79 years", 1997)."""
     vehicle_mps: tuple[float, float] = number((2.0, 8.0), above=0, maximum=15, rising=True)
-    """Speed of vehicles, metres a second: up to 30 km/h, the limit of residential streets."""
+    """Speed of vehicles, metres a second. Source: up to 30 km/h, the limit of residential
+    streets."""
     drone_mps: tuple[float, float] = number((0.5, 3.0), above=0, maximum=15, rising=True)
     """Speed of drones, metres a second."""
     person_mps2: float = number(1.0, above=0, maximum=10)
-    """Greatest acceleration of people, m/s²: half of what a relaxation time of 0.5 s gives
+    """Maximum acceleration of people, m/s². Source: half of what a relaxation time of 0.5 s gives
     (Helbing and Molnár, "Social force model for pedestrian dynamics", 1995)."""
     vehicle_mps2: float = number(2.0, above=0, maximum=10)
-    """Greatest acceleration of vehicles, m/s²: below the 3.4 m/s² of a comfortable stop (AASHTO,
-    "A Policy on Geometric Design of Highways and Streets")."""
+    """Maximum acceleration of vehicles, m/s². Source: below the 3.4 m/s² of a comfortable stop
+    (AASHTO, "A Policy on Geometric Design of Highways and Streets")."""
     drone_mps2: float = number(3.0, above=0, maximum=20)
-    """Greatest acceleration of drones, m/s²."""
+    """Maximum acceleration of drones, m/s²."""
     turn_rad_s: float = number(1.5, above=0, maximum=10)
-    """Greatest mean rate of a turn, radians a second; the rate in its middle is twice as high at
-    most."""
+    """Maximum mean rate of a turn, radians a second; in its middle, at most twice that."""
     sensor_mps: float = number(1.0, above=0, maximum=30)
-    """Speed of the sensor, which gives the time of each viewpoint of a flight, metres a second."""
+    """Speed of the sensor, which times the viewpoints of a flight, metres a second."""
     firing_times: bool = False
-    """Whether each ray meets movers where they are at the ray's own time, instead of all at the
-    time when the scan begins."""
+    """Whether each ray meets movers where they are at its own time, not when the scan begins."""
     after_s: float = number(2.5, minimum=0, maximum=10)
-    """How long after a sample's time its courses are stored, seconds."""
+    """Seconds after a sample's time for which courses are stored."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -32,7 +32,7 @@ class Geometric(WorldKind):
 
     The paper's first kind of environment: "walls, pillars, and cluttered structures" of "spheres,
     boxes, and cylinders" (sections "Training Data Generation" and "Visual Reconstruction Results");
-    it gives no figures, so these are calibrated: docs/results/calibration.md.
+    it gives no figures, so these are calibrated: docs/results/findings.md.
     """
 
     version = 2
@@ -55,15 +55,15 @@ class Geometric(WorldKind):
 
     size_m: Size = (40.0, 40.0, 5.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their
-    centres. Source: its height is calibrated, results/calibration.md."""
+    centres. Source: its height is calibrated, results/findings.md."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     density: Range = number((0.002, 0.4), above=0)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
-    calibrated, results/calibration.md."""
+    calibrated, results/findings.md."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid. Source: calibrated,
-    results/calibration.md."""
+    results/findings.md."""
     scale: Range = number((0.7, 1.2), above=0, maximum=100)
     """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5

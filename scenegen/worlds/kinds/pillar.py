@@ -37,10 +37,10 @@ class Pillar(WorldKind):
     flight_defaults = {"altitude_m": (3.0, 6.0)}
 
     density: Range = (0.05, 0.10)
-    """Pillars per square metre; one value a world. Source: calibrated, results/calibration.md."""
+    """Pillars per square metre; one value a world. Source: calibrated, results/findings.md."""
     half_width_m: Range = (0.25, 0.55)
     """Radius of a round pillar or half an edge of a square one, metres; one value a pillar. Source:
-    calibrated, results/calibration.md."""
+    calibrated, results/findings.md."""
     round_share: float = 0.7
     """Share of pillars with a round section."""
     oblong_share: float = 0.1
