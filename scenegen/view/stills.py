@@ -23,6 +23,7 @@ from lidarsim import Sensor
 from lidarsim.grid import Field, Floats, Mask
 from lidarsim.sensors.device import angles_deg
 from scenegen.base.errors import DatasetError, printable
+from scenegen.logs.against import Unit
 from scenegen.view import blocks, canvas
 from scenegen.view.blocks import project
 from scenegen.view.canvas import DISTANCES, HEIGHTS, SCREEN, Anchors, Paper, colour, rgb
@@ -557,4 +558,18 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
         panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=printable(name))
         panel.invert_xaxis()  # seen from the body, azimuth grows to the left
         panel.grid(alpha=0.4)
+    return figure
+
+
+def draw_unit(unit: Unit) -> Figure:
+    """Draw the elevations of a unit less those of its model, its ranges, and the noise of
+    planes."""
+    figure = Figure(figsize=(9.6, 3.2), dpi=100, layout="constrained")
+    beams, returns, noise = figure.subplots(1, 3)
+    beams.plot(unit.elevations_deg, unit.off_deg, ".")
+    beams.set(xlabel="elevation / °", ylabel=f"less {printable(unit.model.name)}'s / °")
+    returns.hist(unit.ranges_m, 100)
+    returns.set(xlabel="range / m", ylabel="returns", yscale="log")
+    noise.loglog(unit.planes[:, 0], 1e3 * unit.planes[:, 2], ".", ms=2)
+    noise.set(xlabel="range / m", ylabel="noise of planes / mm")
     return figure
