@@ -100,7 +100,8 @@ class Unit:
         Noise of ranges grows as the model's does."""
         stages: dict[type, Any] = _stages(self.model)
         planes = self.planes[self.planes[:, 1] < STEEP_DEG]
-        stages[Near] = Near(min_range_m=self.model.min_range_m)
+        if self.model.min_range_m:
+            stages[Near] = Near(min_range_m=self.model.min_range_m)
         if len(planes) >= MIN_CLASS:
             usual = stages.get(Range, Range())
             # less what rounding to steps adds
@@ -267,10 +268,12 @@ def _elevation(elevation: Floats, ranges: Floats) -> float:
     """Return e of elevation = e + c / range: c is not 0 for a beam that begins beside the
     centre."""
     nearness = 1.0 / ranges
-    slope, start = np.polyfit(nearness, elevation, 1)
+    beside = nearness - nearness.mean()
+    variance = (beside**2).mean() + 1e-12
+    slope = (elevation * beside).mean() / variance
     # as far as scatter hides it, c is near 0 (ridge regression)
-    scatter = np.std(elevation - slope * nearness - start) / OFF_CENTRE_DEG_M
-    slope *= nearness.var() / (nearness.var() + scatter**2 + 1e-12)
+    scatter = np.std(elevation - slope * beside) / OFF_CENTRE_DEG_M
+    slope *= variance / (variance + scatter**2)
     return float(np.median(elevation - slope * nearness))
 
 
@@ -304,8 +307,8 @@ def _beams(elevations: Floats, quantum_m: float, sensor: Spinning) -> Ints:
             return beams
     raise ValueError(
         f"has {len(elevations)} channels from {elevations.min():.1f}° to {elevations.max():.1f}° "
-        f"and steps of {1e3 * quantum_m:g} mm; expected those of {sensor}, in steps of "
-        f"{1e3 * step_m:g} mm"
+        f"and ranges in steps of {1e3 * quantum_m:g} mm (0: any); expected those of {sensor}, in "
+        f"steps of {1e3 * step_m:g} mm"
     )
 
 
@@ -332,12 +335,14 @@ def _azimuths(
     """Return azimuths of channels less the `modelled` (K,), all from the first one's. They are
     known up to steps, since a scan does not say which rays are of one column, and 0 for a channel
     without a grid."""
-    # near the sensor, beams that begin beside its centre have other azimuths
-    phases = np.exp(2j * math.pi * azimuth / step) * (ranges >= np.median(ranges))
-    sums = np.array([phases[channels == n].sum() for n in range(len(modelled))])
-    off = np.angle(sums) / (2 * math.pi) * step - modelled
-    off = (off - off[np.abs(sums).argmax()] + step / 2) % step - step / 2
-    return np.where(np.abs(sums) > 0.5 * np.bincount(channels, np.abs(phases)), off, 0.0)
+    means = []
+    for rows in (channels == n for n in range(len(modelled))):
+        # near the sensor, beams that begin beside its centre have other azimuths
+        far = azimuth[rows][ranges[rows] >= np.median(ranges[rows])]
+        means.append(np.exp(2j * math.pi * far / step).mean())
+    off = np.angle(means) / (2 * math.pi) * step - modelled
+    off = (off - off[np.abs(means).argmax()] + step / 2) % step - step / 2
+    return np.where(np.abs(means) > 0.5, off, 0.0)
 
 
 def _planes(points: Floats, places: Floats, turns: Floats) -> Floats:
