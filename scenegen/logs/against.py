@@ -32,10 +32,11 @@ MIN_IN = 0.95
 """Share of the returns that are not stray."""
 OFF_CENTRE_DEG_M = 2.0
 """How far beams may begin beside the centre: 35 mm, as an angle seen from a metre, degrees."""
-MIN_SHARE = 0.8
-"""Share of the beams between the lowest and the highest that must have returned."""
-MAX_OFF_DEG = 1.0
-"""Median difference of elevations that a unit may have, degrees: Ouster's differ by up to 1°."""
+MIN_SHARE = 0.75
+"""Share of the model's beams that must have returned."""
+MAX_OFF_DEG, MAX_WORST_DEG = 1.0, 3.5
+"""Differences of elevations that a unit may have, median and worst, degrees: Ouster's differ by up
+to 1°, single beams of an HDL-64E by 3°."""
 STEPS_M = np.arange(1, 41) * 5e-4
 """Steps of ranges that are tried, metres."""
 MIN_COHERENCE = 0.8
@@ -299,11 +300,11 @@ def _beams(elevations: Floats, quantum_m: float, sensor: Spinning) -> Ints:
     modelled = np.array(sensor.elevations_deg)
     step_m = getattr(_stages(sensor).get(Quantise), "step_m", 0.0)
     # converters round coordinates, which leaves no step of ranges: a step is the sensor's own
-    if len(modelled) / 2 <= len(elevations) <= len(modelled) and not 0 < step_m != quantum_m > 0:
+    is_step = quantum_m in (0.0, step_m) or not step_m
+    if is_step and MIN_SHARE * len(modelled) <= len(elevations) <= len(modelled):
         beams = linear_sum_assignment((elevations[:, None] - modelled) ** 2)[1]
         off = np.abs(elevations - modelled[beams])
-        between = np.ptp(np.argsort(np.argsort(modelled))[beams]) + 1
-        if np.median(off) <= MAX_OFF_DEG and len(beams) >= MIN_SHARE * between:
+        if np.median(off) <= MAX_OFF_DEG and off.max() <= MAX_WORST_DEG:
             return beams
     raise ValueError(
         f"has {len(elevations)} channels from {elevations.min():.1f}° to {elevations.max():.1f}° "

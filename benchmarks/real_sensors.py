@@ -1,0 +1,146 @@
+"""Public scans of real sensors against the catalogue: what `scenegen sensors --against` measures,
+and for which models of the catalogue it takes each scan.
+
+    python benchmarks/real_sensors.py --nebula nebula --ouster ouster-sdk --kitti patchwork-plusplus
+
+The folders are checkouts of `tier4/nebula` (decoded scans), `ouster-lidar/ouster-sdk` (recordings,
+which need `pip install ouster-sdk`) and `url-kaist/patchwork-plusplus` (six scans of KITTI). A
+simulated VLP-16 with noise of 12 mm in steps of 2 mm and 3 % of lost rays is measured, too.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import measuring
+import numpy as np
+
+from lidarsim import Pose
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.ranges import Range
+from lidarsim.sensors import CATALOGUE, SENSORS
+from lidarsim.sensors.device import angles_deg
+from lidarsim.sensors.spinning import Spinning
+from scenegen.draw.draw import scan_world
+from scenegen.draw.source import named_world
+from scenegen.logs.against import Unit, measure
+from scenegen.worlds.clouds import Cloud, read_cloud
+
+MODELS = [m for name in CATALOGUE if isinstance(m := SENSORS.find(name), Spinning)]
+OWN = {"vlp16": "velodyne-vlp-16", "xt32": "hesai-xt-32", "qt128": "hesai-qt-128"}
+"""Scans of Nebula whose sensors the catalogue has."""
+RANGE_M = 5.0
+"""At which noise is compared."""
+
+
+class Options(measuring.Options):
+    """Where the scans are."""
+
+    nebula: Path | None = None
+    ouster: Path | None = None
+    kitti: Path | None = None
+
+
+def main() -> None:
+    """Print a line for each unit."""
+    given = measuring.parse(Options)
+    print(
+        "scan | model | channels | off: median, worst, ° | azimuth step, ° | range step, mm | "
+        f"ranges, m | noise at {RANGE_M:g} m, mm: unit, model | lost | taken for"
+    )
+    print("|".join(["---"] * 10))
+    for name, model, clouds in scans(given):
+        print(line(name, model, clouds), flush=True)
+
+
+def scans(given: Options) -> Iterator[tuple[str, str, list[Cloud]]]:
+    """Name, model in the catalogue or "", and clouds of each unit."""
+    yield "simulated", OWN["vlp16"], [simulated()]
+    if given.nebula:
+        for file in sorted(given.nebula.rglob("decoder_ground_truth/*/*.pcd")):
+            yield file.parent.name, OWN.get(file.parent.name, ""), [read_cloud(file)]
+    if given.ouster:
+        for file in sorted(given.ouster.glob("tests/pcaps/OS-*.pcap")):
+            yield from recorded(file)
+    if given.kitti:
+        files = sorted(given.kitti.glob("data/*.bin"))
+        yield "KITTI", "velodyne-hdl-64e", [by_turns(read_cloud(file)) for file in files]
+
+
+def simulated() -> Cloud:
+    """A scan of the warehouse in `scenes/`."""
+    world = named_world(Path(__file__).parents[1] / "scenes" / "warehouse.xml", 0)
+    pose, sensor = Pose.level((8.0, 6.0, 1.5)), SENSORS.find(OWN["vlp16"])
+    noise = "range:0.012,dropout:0.03,quantise:0.002"
+    scan = scan_world(world, sensor, pose, Noise.parse(noise), seed=0)
+    return Cloud(pose.to_body(scan.points(0)), "")
+
+
+def by_turns(cloud: Cloud) -> Cloud:
+    """A cloud of KITTI with the numbers of its channels: their points follow each other, from the
+    front around."""
+    around = angles_deg(cloud.points)[1] % 360
+    return Cloud(cloud.points, cloud.layout, rings=np.cumsum(np.diff(around, prepend=0) < -180))
+
+
+def recorded(file: Path) -> Iterator[tuple[str, str, list[Cloud]]]:
+    """A unit of Ouster, with the numbers of its channels."""
+    try:
+        from ouster.sdk import core, open_source
+    except ImportError:
+        print(f"not measured: {file.name}, ouster-sdk is not installed")
+        return
+    clouds = []
+    try:
+        for (frame,) in open_source(str(file)):
+            points = core.XYZLut(frame.sensor_info, use_extrinsics=False)(frame)
+            rings = np.indices(points.shape[:2])[0].ravel()
+            clouds.append(Cloud(points.reshape(-1, 3), "", rings=rings))
+    except Exception:  # ouster-sdk's own, for a recording without metadata, or an empty one
+        print(f"not measured: {file.name}, which ouster-sdk does not read")
+    if clouds:
+        line = frame.sensor_info.prod_line.lower().replace("-", "")[:3]
+        yield file.stem, f"ouster-{line}-{len(points)}", clouds
+
+
+def line(name: str, model: str, clouds: list[Cloud]) -> str:
+    """What is measured of a unit, and the models for which it is taken."""
+    taken = {sensor.name: unit for sensor in MODELS if (unit := unit_of(clouds, sensor))}
+    cells = [name, model or "none", *(facts(taken[model]) if model in taken else ["refused"])]
+    return " | ".join([*cells, ", ".join(taken) or "none"])
+
+
+def unit_of(clouds: list[Cloud], sensor: Spinning) -> Unit | None:
+    """The unit, or None if it is refused."""
+    try:
+        return measure(clouds, sensor)
+    except ValueError:
+        return None
+
+
+def facts(unit: Unit) -> list[str]:
+    """What is measured."""
+    said = unit.facts()
+    noises = [
+        next(
+            f"{1e3 * stage.sigma(np.array(RANGE_M)):.1f}"
+            for stage in noise.stages
+            if isinstance(stage, Range)
+        )
+        for noise in (unit.noise, Noise.parse(unit.model.noise))
+    ]
+    lost = said["lost"] if unit.has_grid else "unknown"
+    return [
+        f"{said['channels']} of {len(unit.model.elevations_deg)}",
+        *(
+            "{:.3f}, {:.3f}".format(*said[key])
+            for key in ("elevations_off_deg", "azimuth_step_deg")
+        ),
+        f"{1e3 * unit.quantum_m:g}",
+        "{:g}, {:g}".format(*said["range_m"]),
+        ", ".join(noises),
+        f"{lost}",
+    ]
+
+
+if __name__ == "__main__":
+    main()
