@@ -68,7 +68,7 @@ def scans(given: Options) -> Iterator[tuple[str, str, list[Cloud]]]:
 
 def simulated() -> Cloud:
     """A scan of the warehouse in `scenes/`."""
-    world = named_world(Path(__file__).parents[1] / "scenes" / "warehouse.xml", 0)
+    world = named_world(str(Path(__file__).parents[1] / "scenes" / "warehouse.xml"), 0)
     pose, sensor = Pose.level((8.0, 6.0, 1.5)), SENSORS.find(OWN["vlp16"])
     noise = "range:0.012,dropout:0.03,quantise:0.002"
     scan = scan_world(world, sensor, pose, Noise.parse(noise), seed=0)
@@ -128,7 +128,6 @@ def facts(unit: Unit) -> list[str]:
         )
         for noise in (unit.noise, Noise.parse(unit.model.noise))
     ]
-    lost = said["lost"] if unit.has_grid else "unknown"
     return [
         f"{said['channels']} of {len(unit.model.elevations_deg)}",
         *(
@@ -138,7 +137,7 @@ def facts(unit: Unit) -> list[str]:
         f"{1e3 * unit.quantum_m:g}",
         "{:g}, {:g}".format(*said["range_m"]),
         ", ".join(noises),
-        f"{lost}",
+        str(said["lost"]),
     ]
 
 

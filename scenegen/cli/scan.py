@@ -27,7 +27,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, echo, info, show_columns, show_table
+from scenegen.cli.show import Progress, Reporter, echo, flat, info, show_columns, show_table
 from scenegen.cli.types import FILE, Choice, Named, Numbers, OutputFile
 from scenegen.convert import Choices
 from scenegen.logs import Cruise
@@ -144,7 +144,8 @@ def sensors(
         print(json.dumps(rows))
     elif names:
         for name, row in rows.items():
-            _show_facts(name, row)
+            facts = {key: value for key, value in flat(row).items() if value not in ("", [])}
+            show_table(facts, name)
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
         show_columns(cells, list(HEADS.values()))
@@ -152,15 +153,6 @@ def sensors(
     for path in (fit, out):
         if path is not None and not as_json:
             echo(f"written: {path}")
-
-
-def _show_facts(name: str, row: "Json") -> None:
-    """Print facts of a sensor; of a unit, with tables of planes."""
-    tables = {head: row.pop(head) for head in [*row] if head.startswith("planes") and row[head]}
-    show_table({key: value for key, value in row.items() if value not in ("", [])}, name)
-    for head, rows in tables.items():
-        cells = {f"from {row.pop('from'):g}": [*map(_cell, row.values())] for row in rows}
-        show_columns(cells, [*rows[0]], head)
 
 
 def _facts(sensor: "Sensor") -> "Json":
@@ -187,10 +179,8 @@ def _facts(sensor: "Sensor") -> "Json":
 
 def _cell(value: Any) -> str:
     """Format a fact for the list: 16 × 1808, or -15 … 15."""
-    if value is None:
-        return "unknown"
     if not isinstance(value, list):
-        return f"{value:g}" if value != "" else ""
+        return f"{value:g}"
     return (" … " if isinstance(value[0], float) else " × ").join(f"{number:g}" for number in value)
 
 

@@ -16,7 +16,6 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout
 from lidarsim.noise.ranges import Near, Quantise, Range
-from lidarsim.scan import are_returns
 from lidarsim.sensors.device import angles_deg
 from lidarsim.sensors.spinning import Spinning
 from scenegen.base.files import Json
@@ -30,8 +29,9 @@ MIN_RETURNS = 20
 """Returns of a channel; fewer are stray."""
 MIN_IN = 0.95
 """Share of the returns that are not stray."""
-OFF_CENTRE_DEG_M = 2.0
-"""How far beams may begin beside the centre: 35 mm, as an angle seen from a metre, degrees."""
+OFF_CENTRE_DEG_M = (-2.0, 2.0)
+"""How far beams may begin below or above the centre: 35 mm, as an angle seen from a metre,
+degrees."""
 MIN_SHARE = 0.75
 """Share of the model's beams that must have returned."""
 MAX_OFF_DEG, MAX_WORST_DEG = 1.0, 3.5
@@ -80,14 +80,13 @@ class Unit:
     """(K,): of these beams, less those of the model; known up to whole steps, 0 if unknown."""
     steps_deg: Floats
     """(K,): azimuth from ray to ray."""
-    has_grid: bool
-    """Whether azimuths are evenly spaced, so that lost rays can be counted."""
     ranges_m: Floats
     """(N,): of all returns."""
     quantum_m: float
     """Step of ranges; 0 if there is none."""
     planes: Floats
-    """(M, 5): range, incidence in degrees, standard deviation of ranges; lost rays, all rays."""
+    """(M, 5): range, incidence in degrees, standard deviation of ranges; lost rays and
+    all rays, which are 0 if azimuths are uneven, so that lost rays are not known."""
 
     @property
     def off_deg(self) -> Floats:
@@ -109,15 +108,15 @@ class Unit:
             sigma = np.sqrt(np.maximum(planes[:, 2] ** 2 - self.quantum_m**2 / 12, 0.0))
             times = float(np.median(sigma / usual.sigma(planes[:, 0])))
             stages[Range] = Range(
-                sigma_m=round(times * usual.sigma_m, 5), share=round(times * usual.share, 6)
+                **{key.name: round(times * getattr(usual, key.name), 6) for key in fields(usual)}
             )
-        if self.has_grid:
-            stages[Dropout] = Dropout(share=_lost(planes))
+        if isinstance(share := _lost(planes), float):
+            stages[Dropout] = Dropout(share=share)
         if self.quantum_m:
             stages[Quantise] = Quantise(step_m=self.quantum_m)
         return Noise(tuple(stages.values()))
 
-    def classes(self, column: int, limits: Sequence[float]) -> list[Json]:
+    def classes(self, column: int, limits: Sequence[float]) -> Json:
         """Divide planes into classes.
 
         Args:
@@ -125,21 +124,18 @@ class Unit:
             limits: Of the classes, ascending.
 
         Returns:
-            For each class with enough planes: its lower limit, the number of planes, the median
-            noise in metres, and the share of rays that are lost, or None.
+            Of the classes with enough planes: their lower limits, numbers of planes, median noise
+            in metres, and shares of rays that are lost.
         """
         numbers = np.digitize(self.planes[:, column], limits) - 1
-        classes = ((low, self.planes[numbers == n]) for n, low in enumerate(limits))
-        return [
-            {
-                "from": low,
-                "planes": len(rows),
-                "noise_m": round(float(np.median(rows[:, 2])), 5),
-                "lost": _lost(rows) if self.has_grid else None,
-            }
-            for low, rows in classes
-            if len(rows) >= MIN_CLASS
-        ]
+        rows = {low: self.planes[numbers == n] for n, low in enumerate(limits)}
+        rows = {low: planes for low, planes in rows.items() if len(planes) >= MIN_CLASS}
+        return {
+            "from": [*rows],
+            "planes": [len(planes) for planes in rows.values()],
+            "noise_m": [round(float(np.median(planes[:, 2])), 5) for planes in rows.values()],
+            "lost": [_lost(planes) for planes in rows.values()],
+        }
 
     def facts(self) -> Json:
         """Return what was measured as plain values."""
@@ -154,12 +150,12 @@ class Unit:
             "azimuth_step_deg": rounded(self.steps_deg.min(), self.steps_deg.max()),
             "range_step_m": self.quantum_m,
             "range_m": rounded(self.ranges_m.min(), self.ranges_m.max()),
-            "lost": _lost(self.planes) if self.has_grid else "unknown: azimuths are uneven",
+            "lost": _lost(self.planes),
             "noise": str(self.noise),
             "beams": self.beams.tolist(),
             "elevations_deg": rounded(*self.elevations_deg),
-            "planes by range, m": self.classes(0, RANGES_M),
-            "planes by incidence, °": self.classes(1, INCIDENCES_DEG),
+            "by_range_m": self.classes(0, RANGES_M),
+            "by_incidence_deg": self.classes(1, INCIDENCES_DEG),
         }
 
     def encode(self) -> bytes:
@@ -178,13 +174,12 @@ class Unit:
             azimuth_offsets_deg=tuple(offsets.round(4).tolist()),
             noise=str(self.noise),
         )
-        values = {item.name: getattr(sensor, item.name) for item in fields(sensor)}
-        lines = {"sensor": "spinning"} | {
-            item.name: values[item.name]
+        lines = [
+            f"{item.name} = {json.dumps(getattr(sensor, item.name))}"
             for item in fields(sensor)
-            if values[item.name] != item.default
-        }
-        return "".join(f"{name} = {json.dumps(value)}\n" for name, value in lines.items()).encode()
+            if getattr(sensor, item.name) != item.default
+        ]
+        return "\n".join(['sensor = "spinning"', *lines]).encode()
 
 
 def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
@@ -217,6 +212,7 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     steps = np.array([_step(gaps[channels[1:] == n]) for n in range(len(groups))])
     turns = gaps / steps[channels[1:]]
     near = turns[turns < 10]
+    is_even = np.mean(np.abs(near - np.rint(near)) < 0.25) >= MIN_GRID
     step = steps[np.bincount(channels).argmax()]
     model = _adapted(sensor, round(360 / step), all_ranges)
     modelled = angles_deg(model.directions_sensor[beams, 0])[1]
@@ -228,25 +224,24 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
         elevations_deg=elevations,
         azimuths_deg=_azimuths(azimuth, channels, ranges, step, modelled),
         steps_deg=steps,
-        has_grid=bool(np.mean(np.abs(near - np.rint(near)) < 0.25) >= MIN_GRID),
         ranges_m=all_ranges,
         quantum_m=quantum_m,
-        planes=_planes(points, np.stack(places, axis=1), turns),
+        planes=_planes(points, np.stack(places, axis=1), np.rint(turns) * is_even),
     )
 
 
-def _returns(clouds: Sequence[Cloud]) -> tuple[Floats, Floats, Floats | None]:
-    """Return the returns (N, 3) in the sensor's frame, the numbers of their scans (N,), and those
-    of their channels, or None if a cloud does not have these."""
-    tables = []
-    for number, cloud in enumerate(clouds):
-        origins = np.zeros((1, 3)) if cloud.origins is None else cloud.origins
-        rings = -1 if cloud.rings is None else cloud.rings
-        columns = *(cloud.points - origins).T, number, rings
-        rows = np.stack(np.broadcast_arrays(*columns), axis=1)
-        tables.append(rows[are_returns(cloud.points, origins)])
-    table = np.concatenate(tables)
-    return table[:, :3], table[:, 3], None if (table[:, 4] < 0).any() else table[:, 4]
+def _returns(clouds: Sequence[Cloud]) -> tuple[Floats, Ints, Floats | None]:
+    """Return the returns (N, 3), the numbers of their scans (N,), and those of their channels, or
+    None if a cloud does not have these."""
+    kept = [cloud.returned for cloud in clouds]
+    points = np.concatenate([cloud.points[rows] for cloud, rows in zip(clouds, kept, strict=True)])
+    rings = [
+        cloud.rings[rows]
+        for cloud, rows in zip(clouds, kept, strict=True)
+        if cloud.rings is not None
+    ]
+    scans = np.repeat(np.arange(len(clouds)), [rows.sum() for rows in kept])
+    return points, scans, np.concatenate(rings) if len(rings) == len(clouds) else None
 
 
 def _split(elevation: Floats, rings: Floats | None) -> list[Ints]:
@@ -270,12 +265,8 @@ def _elevation(elevation: Floats, ranges: Floats) -> float:
     centre."""
     nearness = 1.0 / ranges
     beside = nearness - nearness.mean()
-    variance = (beside**2).mean() + 1e-12
-    slope = (elevation * beside).mean() / variance
-    # as far as scatter hides it, c is near 0 (ridge regression)
-    scatter = np.std(elevation - slope * beside) / OFF_CENTRE_DEG_M
-    slope *= variance / (variance + scatter**2)
-    return float(np.median(elevation - slope * nearness))
+    slope = (elevation * beside).mean() / ((beside**2).mean() + 1e-12)
+    return float(np.median(elevation - np.clip(slope, *OFF_CENTRE_DEG_M) * nearness))
 
 
 def _quantum(ranges: Floats) -> float:
@@ -346,18 +337,18 @@ def _azimuths(
     return np.where(np.abs(means) > 0.5, off, 0.0)
 
 
-def _planes(points: Floats, places: Floats, turns: Floats) -> Floats:
+def _planes(points: Floats, places: Floats, steps: Floats) -> Floats:
     """Fit planes to patches of three channels, see `Unit.planes`.
 
     Args:
         points: (N, 3), by scan, channel and azimuth.
         places: (N, 2): those of a patch are within 1 of its centre.
-        turns: (N - 1,): steps from each point to the next.
+        steps: (N - 1,): from each point to the next, whole steps; 0 if unknown.
     """
-    ranges, steps = np.linalg.norm(points, axis=1), np.rint(turns)
-    together = (steps <= MAX_STEPS) & (np.abs(np.diff(ranges)) < 0.1 * ranges[1:])
-    counts = np.zeros((len(ranges), 2))
-    counts[:-1] = np.stack([steps - 1, steps], axis=1) * together[:, None]
+    ranges = np.linalg.norm(points, axis=1)
+    is_gap = (steps > MAX_STEPS) | (np.abs(np.diff(ranges)) > 0.1 * ranges[1:])
+    passed = np.append(np.where(is_gap, 0.0, steps), 0.0)
+    counts = np.stack([np.maximum(passed - 1.0, 0.0), passed], axis=1)
     seeds = np.arange(0, len(ranges), len(ranges) // MAX_PLANES + 1)
     patches = cKDTree(places).query_ball_point(places[seeds], 1.01, p=math.inf, return_sorted=True)
     directions, planes = points / ranges[:, None], []
@@ -377,5 +368,7 @@ def _planes(points: Floats, places: Floats, turns: Floats) -> Floats:
     return np.array(planes).reshape(-1, 5)
 
 
-def _lost(planes: Floats) -> float:
-    return round(float(planes[:, 3].sum() / max(planes[:, 4].sum(), 1)), 4)
+def _lost(planes: Floats) -> float | str:
+    """Return the share of rays that are lost, or "unknown" if none were counted."""
+    lost, rays = planes[:, 3:].sum(axis=0)
+    return round(float(lost / rays), 4) if rays else "unknown"

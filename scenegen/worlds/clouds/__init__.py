@@ -19,7 +19,7 @@ from scenegen.base.errors import DatasetError, needs, printable
 from scenegen.base.limits import MAX_POINTS, MAX_SCAN_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.clouds import formats
-from scenegen.worlds.clouds.columns import Table, origin_fields, ring_fields, time_fields
+from scenegen.worlds.clouds.columns import RING_NAMES, Table, origin_fields, time_fields
 
 MAX_SCANS = 100_000
 """Scans of a folder."""
@@ -67,7 +67,7 @@ def cloud_of(table: Table) -> Cloud:
         for name in time_fields([*columns])
         if columns[name].shape == points.shape[:1] and columns[name].dtype.kind in "fiu"
     }
-    rings = next((columns[name] for name in ring_fields(columns)), None)
+    rings = next((columns[name] for name in RING_NAMES if name in columns), None)
     return Cloud(points, table.layout, origins, times, rings)
 
 

@@ -67,11 +67,6 @@ def time_fields(names: Sequence[str]) -> list[str]:
     ]
 
 
-def ring_fields(names: Collection[str]) -> list[str]:
-    """Find the one of `names` that holds the number of a point's channel; none if there is none."""
-    return [name for name in RING_NAMES if name in names][:1]
-
-
 def used_fields(names: Sequence[str]) -> list[str]:
     """Select the fields that are read.
 
@@ -86,7 +81,8 @@ def used_fields(names: Sequence[str]) -> list[str]:
     """
     if not set("xyz") <= set(names):
         raise ValueError(f"has fields {short_list(names)}, expected x, y and z among them")
-    return [*"xyz", *origin_fields(names), *time_fields(names), *ring_fields(names)]
+    rings = [name for name in RING_NAMES if name in names]
+    return [*"xyz", *origin_fields(names), *time_fields(names), *rings]
 
 
 def short_list(names: Sequence[str]) -> str:
