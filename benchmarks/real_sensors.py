@@ -9,6 +9,7 @@ simulated VLP-16 with noise of 12 mm in steps of 2 mm and 3 % of lost rays is me
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import measuring
@@ -52,24 +53,27 @@ def main() -> None:
         print(line(name, model, clouds), flush=True)
 
 
-def scans(given: Options) -> Iterator[tuple[str, str, list[Cloud]]]:
-    """Name, model in the catalogue or "", and clouds of each unit."""
-    yield "simulated", OWN["vlp16"], [simulated()]
+def scans(given: Options) -> Iterator[tuple[str, Spinning | None, list[Cloud]]]:
+    """Name, model if the catalogue has it, and clouds of each unit."""
+    yield "simulated", SENSORS.find("velodyne-vlp-16"), [simulated()]
     if given.nebula:
         for file in sorted(given.nebula.rglob("decoder_ground_truth/*/*.pcd")):
-            yield file.parent.name, OWN.get(file.parent.name, ""), [read_cloud(file)]
+            name = OWN.get(file.parent.name)
+            model = SENSORS.find(name) if name else None
+            yield file.parent.name, model, [read_cloud(file)]
     if given.ouster:
         for file in sorted(given.ouster.glob("tests/pcaps/OS-*.pcap")):
             yield from recorded(file)
     if given.kitti:
         files = sorted(given.kitti.glob("data/*.bin"))
-        yield "KITTI", "velodyne-hdl-64e", [by_turns(read_cloud(file)) for file in files]
+        hdl_64e = SENSORS.find("velodyne-hdl-64e")
+        yield "KITTI", hdl_64e, [by_turns(read_cloud(file)) for file in files]
 
 
 def simulated() -> Cloud:
     """A scan of the warehouse in `scenes/`."""
     world = named_world(str(Path(__file__).parents[1] / "scenes" / "warehouse.xml"), 0)
-    pose, sensor = Pose.level((8.0, 6.0, 1.5)), SENSORS.find(OWN["vlp16"])
+    pose, sensor = Pose.level((8.0, 6.0, 1.5)), SENSORS.find("velodyne-vlp-16")
     noise = "range:0.012,dropout:0.03,quantise:0.002"
     scan = scan_world(world, sensor, pose, Noise.parse(noise), seed=0)
     return Cloud(pose.to_body(scan.points(0)), "")
@@ -82,30 +86,33 @@ def by_turns(cloud: Cloud) -> Cloud:
     return Cloud(cloud.points, cloud.layout, rings=np.cumsum(np.diff(around, prepend=0) < -180))
 
 
-def recorded(file: Path) -> Iterator[tuple[str, str, list[Cloud]]]:
-    """A unit of Ouster, with the numbers of its channels."""
+def recorded(file: Path) -> Iterator[tuple[str, Spinning | None, list[Cloud]]]:
+    """A unit of Ouster, with the numbers of its channels; and again with a model that has the
+    unit's own angles, which its metadata hold."""
     try:
         from ouster.sdk import core, open_source
-    except ImportError:
-        print(f"not measured: {file.name}, ouster-sdk is not installed")
+
+        frames = [frame for (frame,) in open_source(str(file))]
+    except Exception as error:  # no ouster-sdk; or its own, as for a recording without metadata
+        print(f"not measured: {file.name}: {type(error).__name__}")
         return
-    clouds = []
-    try:
-        for (frame,) in open_source(str(file)):
-            points = core.XYZLut(frame.sensor_info, use_extrinsics=False)(frame)
-            rings = np.indices(points.shape[:2])[0].ravel()
-            clouds.append(Cloud(points.reshape(-1, 3), "", rings=rings))
-    except Exception:  # ouster-sdk's own, for a recording without metadata, or an empty one
-        print(f"not measured: {file.name}, which ouster-sdk does not read")
-    if clouds:
-        line = frame.sensor_info.prod_line.lower().replace("-", "")[:3]
-        yield file.stem, f"ouster-{line}-{len(points)}", clouds
+    info = frames[0].sensor_info
+    points = [core.XYZLut(info, use_extrinsics=False)(frame) for frame in frames]
+    rings = np.indices(points[0].shape[:2])[0].ravel()
+    clouds = [Cloud(part.reshape(-1, 3), "", rings=rings) for part in points]
+    name = f"ouster-{info.prod_line.lower().replace('-', '')[:3]}-{len(points[0])}"
+    model = SENSORS.find(name) if name in CATALOGUE else None
+    yield file.stem, model, clouds
+    if model:
+        angles = tuple(info.beam_altitude_angles)
+        yield f"{file.stem}, own angles", replace(model, elevations_deg=angles), clouds
 
 
-def line(name: str, model: str, clouds: list[Cloud]) -> str:
-    """What is measured of a unit, and the models for which it is taken."""
-    taken = {sensor.name: unit for sensor in MODELS if (unit := unit_of(clouds, sensor))}
-    cells = [name, model or "none", *(facts(taken[model]) if model in taken else ["refused"])]
+def line(name: str, model: Spinning | None, clouds: list[Cloud]) -> str:
+    """What is measured of a unit, and the models of the catalogue for which it is taken."""
+    unit = unit_of(clouds, model) if model else None
+    taken = [sensor.name for sensor in MODELS if unit_of(clouds, sensor)]
+    cells = [name, model.name if model else "none", *(facts(unit) if unit else ["refused"])]
     return " | ".join([*cells, ", ".join(taken) or "none"])
 
 

@@ -29,9 +29,9 @@ MIN_RETURNS = 20
 """Returns of a channel; fewer are stray."""
 MIN_IN = 0.95
 """Share of the returns that are not stray."""
-OFF_CENTRE_DEG_M = (-2.0, 2.0)
-"""How far beams may begin below or above the centre: 35 mm, as an angle seen from a metre,
-degrees."""
+OFF_CENTRE_DEG_M = 2.0
+"""How far beams usually begin below or above the frame's origin: 35 mm, as an angle seen from a
+metre, degrees."""
 MIN_SHARE = 0.75
 """Share of the model's beams that must have returned."""
 MAX_OFF_DEG, MAX_WORST_DEG = 1.0, 3.5
@@ -265,8 +265,12 @@ def _elevation(elevation: Floats, ranges: Floats) -> float:
     centre."""
     nearness = 1.0 / ranges
     beside = nearness - nearness.mean()
-    slope = (elevation * beside).mean() / ((beside**2).mean() + 1e-12)
-    return float(np.median(elevation - np.clip(slope, *OFF_CENTRE_DEG_M) * nearness))
+    variance = (beside**2).mean() + 1e-12
+    slope = (elevation * beside).mean() / variance
+    # the more scatter hides it, the nearer c is to 0 (ridge regression)
+    scatter = np.std(elevation - slope * beside) / OFF_CENTRE_DEG_M
+    slope *= variance / (variance + scatter**2)
+    return float(np.median(elevation - slope * nearness))
 
 
 def _quantum(ranges: Floats) -> float:
