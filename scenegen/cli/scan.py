@@ -59,13 +59,20 @@ HEADS = {
 """Columns of the list of sensors, by the facts that they show."""
 
 
+SCANS = dict.fromkeys((".pcd", ".ply", ".bin", ".npz", ".npy", ".las", ".laz"), "--against")
+"""The option that takes a file, by its suffix."""
+
+
 @command(
     "sensors",
     "sensors ouster-os1-128 my_lidar.toml -o patterns.png",
     "sensors hesai-xt-32 --against scan.pcd --fit mine.toml -o against.png",
 )
 @click.argument(
-    "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
+    "names",
+    nargs=-1,
+    metavar="[NAME|FILE.toml|MODULE:CLASS]…",
+    type=Named(SENSORS, file=".toml", file_options=SCANS),
 )
 @click.option(
     "--against",

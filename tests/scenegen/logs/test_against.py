@@ -164,6 +164,7 @@ def test_scans_of_another_sensor_are_refused(standing, capsys):
     for words in (
         "hesai-xt-32 --against scan.npy",
         "hesai-xt-32 --against none.npy",
+        "hesai-xt-32 --against scan.npy more.npy",
         "hesai-xt-32 velodyne-vlp-16 --against scan.npy",
         "velodyne-vlp-16 --fit mine.toml",
     ):
