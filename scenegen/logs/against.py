@@ -295,16 +295,19 @@ def _beams(elevations: Floats, quantum_m: float, sensor: Spinning) -> Ints:
     modelled = np.array(sensor.elevations_deg)
     step_m = getattr(_stages(sensor).get(Quantise), "step_m", 0.0)
     # converters round coordinates, which leaves no step of ranges: a step is the sensor's own
-    is_step = quantum_m in (0.0, step_m) or not step_m
-    if is_step and MIN_SHARE * len(modelled) <= len(elevations) <= len(modelled):
+    if quantum_m and step_m not in (0.0, quantum_m):
+        raise ValueError(
+            f"has ranges in steps of {1e3 * quantum_m:g} mm; expected {1e3 * step_m:g} mm, as of "
+            f"{sensor.name}"
+        )
+    if MIN_SHARE * len(modelled) <= len(elevations) <= len(modelled):
         beams = linear_sum_assignment((elevations[:, None] - modelled) ** 2)[1]
         off = np.abs(elevations - modelled[beams])
         if np.median(off) <= MAX_OFF_DEG and off.max() <= MAX_WORST_DEG:
             return beams
     raise ValueError(
-        f"has {len(elevations)} channels from {elevations.min():.1f}° to {elevations.max():.1f}° "
-        f"and ranges in steps of {1e3 * quantum_m:g} mm (0: any); expected those of {sensor}, in "
-        f"steps of {1e3 * step_m:g} mm"
+        f"has {len(elevations)} channels from {elevations.min():.1f}° to {elevations.max():.1f}°; "
+        f"expected those of {sensor}"
     )
 
 

@@ -160,9 +160,9 @@ def test_scans_of_another_sensor_are_refused(standing, capsys):
     refuses("nothing", measure, [Cloud(np.zeros((9, 3)), "")], VLP_16)
     refuses("steps", measure, [scan], HELIOS_16P)
     refuses("no channels", measure, [scan], MID_360)
-    np.save("scan.npy", scan.points)
+    np.save("scan.npy", cloud(rays(UNIT)).points)
     for words in (
-        "hesai-xt-32 --against scan.npy",
+        "ouster-os0-64 --against scan.npy",
         "hesai-xt-32 --against none.npy",
         "hesai-xt-32 --against scan.npy more.npy",
         "hesai-xt-32 velodyne-vlp-16 --against scan.npy",
