@@ -233,15 +233,11 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
 def _returns(clouds: Sequence[Cloud]) -> tuple[Floats, Ints, Floats | None]:
     """Return the returns (N, 3), the numbers of their scans (N,), and those of their channels, or
     None if a cloud does not have these."""
-    kept = [cloud.returned for cloud in clouds]
-    points = np.concatenate([cloud.points[rows] for cloud, rows in zip(clouds, kept, strict=True)])
-    rings = [
-        cloud.rings[rows]
-        for cloud, rows in zip(clouds, kept, strict=True)
-        if cloud.rings is not None
-    ]
-    scans = np.repeat(np.arange(len(clouds)), [rows.sum() for rows in kept])
-    return points, scans, np.concatenate(rings) if len(rings) == len(clouds) else None
+    points = [cloud.points[cloud.returned] for cloud in clouds]
+    scans = np.repeat(np.arange(len(clouds)), [len(part) for part in points])
+    rings = [cloud.rings[cloud.returned] for cloud in clouds if cloud.rings is not None]
+    has_rings = len(rings) == len(clouds)
+    return np.concatenate(points), scans, np.concatenate(rings) if has_rings else None
 
 
 def _split(elevation: Floats, rings: Floats | None) -> list[Ints]:
