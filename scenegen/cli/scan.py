@@ -10,9 +10,11 @@ import rich_click as click
 
 from lidarsim.engines import EngineFactory
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
+from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.paths import type_of
 from scenegen.cli.options import (
     WORLD,
+    columns_option,
     command,
     engine_option,
     group,
@@ -25,8 +27,8 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, echo, info, show_columns, show_table
-from scenegen.cli.types import Choice, Named, Numbers
+from scenegen.cli.show import Progress, Reporter, echo, flat, info, show_columns, show_table
+from scenegen.cli.types import FILE, Choice, Named, Numbers, OutputFile
 from scenegen.convert import Choices
 from scenegen.logs import Cruise
 from scenegen.worlds.traffic import PRESETS
@@ -57,44 +59,107 @@ HEADS = {
 """Columns of the list of sensors, by the facts that they show."""
 
 
-@command("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png")
-@click.argument(
-    "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
+SCANS = dict.fromkeys((".pcd", ".ply", ".bin", ".npz", ".npy", ".las", ".laz"), "--against")
+"""The option that takes a file, by its suffix."""
+
+
+@command(
+    "sensors",
+    "sensors ouster-os1-128 my_lidar.toml -o patterns.png",
+    "sensors hesai-xt-32 --against scan.pcd --fit mine.toml -o against.png",
 )
-@out_option("Picture (.png) of the patterns of rays, azimuth × elevation.", ".png")
+@click.argument(
+    "names",
+    nargs=-1,
+    metavar="[NAME|FILE.toml|MODULE:CLASS]…",
+    type=Named(SENSORS, file=".toml", file_options=SCANS),
+)
+@click.option(
+    "--against",
+    "scans",
+    multiple=True,
+    type=FILE,
+    help="A scan of a real unit, in its own frame, to compare with the spinning sensor that is "
+    "named; repeatable.",
+)
+@columns_option
+@click.option(
+    "--fit",
+    type=OutputFile(".toml"),
+    help="With --against: write a sensor file for --lidar, with the unit's angles, ranges and "
+    "noise.",
+)
+@out_option(
+    "Picture (.png) of the patterns of rays, azimuth × elevation; with --against, of elevations, "
+    "ranges and noise.",
+    ".png",
+)
 @json_option
-def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+def sensors(
+    names: tuple[str, ...],
+    scans: tuple[Path, ...],
+    columns: int | None,
+    fit: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     """List all sensors, or print facts of some; with -o, draw their patterns of rays.
 
     Use a name as `scenegen generate --lidar NAME`, or in a recipe as `[lidar] sensor = "NAME"`.
+    With --against, compare scans of a real unit with its sensor.
 
     \f
     Args:
         names: Names of sensors; empty for all.
+        scans: Scans of a unit.
+        columns: Numbers of a point of these.
+        fit: Sensor file to write, or None.
         out: File of the picture, or None.
         as_json: Print JSON.
+
+    Raises:
+        UsageError: Options contradict each other.
+        DatasetError: Scans cannot be read, or are not of the sensor.
     """
+    if scans and len(names) != 1:
+        raise click.UsageError("--against compares scans with one sensor; name it")
+    if not scans and (fit or columns):
+        raise click.UsageError("--fit and --columns go with --against")
+    from scenegen.base.files import write_result
     from scenegen.worlds.tables import named_lidar
 
     # without names, those of the catalogue, and the raster that recipes use by default
     chosen = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
     rows = {name: _facts(sensor) for name, sensor in chosen.items()}
-    if out is not None:
-        from scenegen.base.files import write_result
-        from scenegen.view.stills import draw_patterns, to_bytes
+    unit = None
+    if scans:
+        from scenegen.logs.against import measure
+        from scenegen.worlds.clouds import read_cloud
 
-        write_result(out, to_bytes(draw_patterns(chosen), ".png"))
+        clouds = [read_cloud(scan, columns=columns) for scan in scans]
+        with reraise_as(DatasetError, f"{', '.join(map(str, scans))}: "):
+            unit = measure(clouds, chosen[names[0]])
+        rows["unit"] = unit.facts()
+        if fit is not None:
+            write_result(fit, unit.encode())
+    if out is not None:
+        from scenegen.view.stills import draw_patterns, draw_unit, to_bytes
+
+        figure = draw_unit(unit) if unit else draw_patterns(chosen)
+        write_result(out, to_bytes(figure, ".png"))
     if as_json:
         print(json.dumps(rows))
     elif names:
         for name, row in rows.items():
-            show_table({key: value for key, value in row.items() if value not in ("", [])}, name)
+            facts = {key: value for key, value in flat(row).items() if value not in ("", [])}
+            show_table(facts, name)
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
         show_columns(cells, list(HEADS.values()))
         echo("\nscenegen sensors NAME prints the source of its figures; --out FILE draws it")
-    if out is not None and not as_json:
-        echo(f"written: {out}")
+    for path in (fit, out):
+        if path is not None and not as_json:
+            echo(f"written: {path}")
 
 
 def _facts(sensor: "Sensor") -> "Json":

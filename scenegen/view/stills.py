@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -27,6 +27,9 @@ from scenegen.view import blocks, canvas
 from scenegen.view.blocks import project
 from scenegen.view.canvas import DISTANCES, HEIGHTS, SCREEN, Anchors, Paper, colour, rgb
 from scenegen.view.look import Guess, Look, Route
+
+if TYPE_CHECKING:
+    from scenegen.logs.against import Unit
 
 Part = tuple[Floats, dict[str, Any]]
 """Points (n, 3) of dots or of a line, metres in the world; and their style for matplotlib, in a
@@ -557,4 +560,18 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
         panel.set(xlabel="azimuth / °", ylabel="elevation / °", title=printable(name))
         panel.invert_xaxis()  # seen from the body, azimuth grows to the left
         panel.grid(alpha=0.4)
+    return figure
+
+
+def draw_unit(unit: "Unit") -> Figure:
+    """Draw the elevations of a unit less those of its model, its ranges, and the noise of
+    planes."""
+    figure = Figure(figsize=(9.6, 3.2), dpi=100, layout="constrained")
+    beams, returns, noise = figure.subplots(1, 3)
+    beams.plot(unit.elevations_deg, unit.off_deg, ".")
+    beams.set(xlabel="elevation / °", ylabel=f"less {printable(unit.model.name)}'s / °")
+    returns.hist(unit.ranges_m, 100)
+    returns.set(xlabel="range / m", ylabel="returns", yscale="log")
+    noise.semilogy(unit.planes[:, 0], 1e3 * unit.planes[:, 2], ".", ms=2)
+    noise.set(xlabel="range / m", ylabel="noise of planes / mm")
     return figure

@@ -19,7 +19,7 @@ from scenegen.base.errors import DatasetError, needs, printable
 from scenegen.base.limits import MAX_POINTS, MAX_SCAN_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.clouds import formats
-from scenegen.worlds.clouds.columns import Table, origin_fields, time_fields
+from scenegen.worlds.clouds.columns import RING_NAMES, Table, origin_fields, time_fields
 
 MAX_SCANS = 100_000
 """Scans of a folder."""
@@ -44,6 +44,8 @@ class Cloud:
     if the file does not say."""
     times: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """Fields that may be times of the points, by name, (N,), as written."""
+    rings: NDArray[Any] | None = None
+    """(N,): numbers of the channels that saw the points; None if the file does not say."""
 
     @property
     def returned(self) -> Mask:
@@ -65,7 +67,8 @@ def cloud_of(table: Table) -> Cloud:
         for name in time_fields([*columns])
         if columns[name].shape == points.shape[:1] and columns[name].dtype.kind in "fiu"
     }
-    return Cloud(points, table.layout, origins, times)
+    rings = next((columns[name] for name in RING_NAMES if name in columns), None)
+    return Cloud(points, table.layout, origins, times, rings)
 
 
 def read_cloud(path: Path, max_bytes: int = MAX_SCAN_BYTES, *, columns: int | None = None) -> Cloud:

@@ -21,6 +21,8 @@ TIME_NAMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "stamps", "
 """Drivers' names of a point's time, by priority."""
 TIME_PATTERN = re.compile(r"ts|dt|t_?(s|ms|us|ns|sec|nsec|offset)|.*(time|stamp).*", re.IGNORECASE)
 """Other names of fields that may be times."""
+RING_NAMES = ("ring", "channel", "laser_id", "line")
+"""Drivers' names of the number of the channel that saw a point, by priority."""
 MAX_NAMES = 12
 """Field names in a message."""
 MIN_COLUMNS, MAX_COLUMNS = 3, 8
@@ -44,7 +46,7 @@ class Table(NamedTuple):
     """The columns of a file that are used, and how they were read."""
 
     columns: Mapping[str, NDArray[Any]]
-    """By name, (N,): x, y, z; the sensor's position and times if there are some."""
+    """By name, (N,): x, y, z; the sensor's position, times and channels if there are some."""
     layout: str
     """For people: "x y z intensity (.pcd, binary)"."""
     origin: Floats | None = None
@@ -72,14 +74,15 @@ def used_fields(names: Sequence[str]) -> list[str]:
         names: All fields.
 
     Returns:
-        x, y, z, and those of origins and times.
+        x, y, z, and those of origins, times and channels.
 
     Raises:
         ValueError: If x, y or z is missing.
     """
     if not set("xyz") <= set(names):
         raise ValueError(f"has fields {short_list(names)}, expected x, y and z among them")
-    return [*"xyz", *origin_fields(names), *time_fields(names)]
+    rings = [name for name in RING_NAMES if name in names]
+    return [*"xyz", *origin_fields(names), *time_fields(names), *rings]
 
 
 def short_list(names: Sequence[str]) -> str:

@@ -449,11 +449,13 @@ def read_nuscenes(content: bytes, columns: int | None) -> Table:
         columns: Numbers of a point; 5 if None.
 
     Returns:
-        x, y and z.
+        x, y, z and ring.
     """
     count = columns or NUSCENES
-    table = read_bin(content, count)
-    return table._replace(layout=f"x y z intensity ring (nuScenes .pcd.bin, {count} columns)")
+    layout = f"x y z intensity ring (nuScenes .pcd.bin, {count} columns)"
+    fields = read_bin(content, count).columns
+    rings = np.frombuffer(content, "<f4")[NUSCENES - 1 :: count]
+    return Table({**fields, "ring": rings} if count == NUSCENES else fields, layout)
 
 
 def read_array(content: bytes, columns: int | None) -> Table:
