@@ -42,7 +42,7 @@ from scenegen.model.inputs import PointScan
 from scenegen.truth.voxels import resample
 from scenegen.worlds.cloud import map_clouds
 
-UNLEARNED = ("empty", "extrude")
+UNLEARNED = ("empty", "extrude", "conservative")
 BASE = "extrude"
 """The method that others are compared with."""
 NETWORKS = ("columns", "proposed", "anywhere")
