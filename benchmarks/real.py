@@ -180,21 +180,24 @@ def seen_in(dataset: Dataset) -> list[Seen]:
 
 
 def seen_by_others(log: Path) -> list[Seen]:
-    """Some scans of a log, each with what the others know where it saw nothing."""
+    """Some scans of a log, each with what the others know where it saw nothing. Each lies at the
+    origin, so that the voxels of the others' map are those of its own: in other voxels, surfaces
+    would be thicker, and it would be scored beside what it saw."""
     every, files = list(read_log(log).scans()), sorted(log.glob("velodyne/*"))
-    poses = (log / "poses.tum").read_text().splitlines(keepends=True)
+    poses = np.loadtxt(log / "poses.tum")
     around = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
     found = []
     for n in np.unique(np.linspace(0, len(every) - 1, SCANS).round().astype(int)):
-        here = every[n].pose.position
-        points = here + rotate(every[n].pose.quaternion, every[n].points)
-        scan = Scan(points=points, position=here, grid=GRID)
+        points = rotate(every[n].pose.quaternion, every[n].points)
+        scan = Scan(points=points, position=np.zeros(3), grid=GRID)
         box = [*scan.origin, *(scan.origin + GRID.voxel_m * np.array(GRID.shape))]
+        moved, others = poses.copy(), np.arange(len(every)) != n
+        moved[:, 1:4] -= every[n].pose.position
         with tempfile.NamedTemporaryFile("w", suffix=".tum") as file:
-            file.writelines(line for m, line in enumerate(poses) if m != n)
+            np.savetxt(file, moved[others])
             file.flush()
-            others = [one for m, one in enumerate(files) if m != n]
-            place = map_clouds(others, poses=Path(file.name), box=box).voxels
+            clouds = [files[m] for m in np.flatnonzero(others)]
+            place = map_clouds(clouds, poses=Path(file.name), box=box).voxels
         occupied, known = resample(place, GRID, scan.origin)
         found.append(Seen(scan, occupied, known & ~scan.observed & ~scan.free, around))
     return found
