@@ -13,7 +13,7 @@ from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = {"measuring", "recordings", "scoring", "served"}
+SHARED = {"measuring", "places", "scoring", "served"}
 STUDY = ROOT / "docs" / "results" / "study.json"
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {}
@@ -21,7 +21,7 @@ SCRIPTS = {}
 for _command, _figure in rows(Path(__file__).with_name("figures.txt").read_text(encoding="utf-8")):
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
-    *("costs", "elsewhere", "generalisation", "horizons", "inference", "networks"),
+    *("elsewhere", "generalisation", "horizons", "inference", "networks"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
