@@ -33,7 +33,7 @@ MAX_AHEAD = 3.0
 """Motion is predicted over at most so many times the time between the last two scans."""
 MAX_FAILED = 0.1
 """A log is refused if more of its scans are not registered."""
-MAX_TESTED, NEAR, AWAY = 500, 1.0, 20.0
+MAX_TESTED, NEAR, AWAY = 500, 1.0, 10.0
 """Scans of which a return to a place is looked for; how near that is, and the minimum way since,
 by the coarse voxel."""
 CLOSINGS = 5
@@ -106,7 +106,7 @@ def align(log: Log, how: Fusing, *, on_done: Counted = unheard) -> Log:
         "inliers": f"{np.median(matcher.inliers):.0%} of points matched (median)",
         "closing": _closing(found, matcher, way_m),
     }
-    return replace(found, about=log.about | about)
+    return replace(found, about={**log.about, **about})
 
 
 def _closing(log: Log, matcher: "_Matcher", way_m: Floats) -> str:
@@ -143,7 +143,7 @@ class _Matcher:
         """Of the voxels of the coarse and the fine map; 0 before the first scan."""
         self._maps = list[Any]()
         self._track = list[tuple[float, Pose]]()
-        """Time and pose of the last two scans."""
+        """Time and pose in the middle of the last two scans."""
         self.inliers = list[float]()
         """Of each registered scan but the first, the share of points that were matched."""
 
@@ -155,10 +155,13 @@ class _Matcher:
     def add(self, scan: LogScan) -> Pose | None:
         """Return the pose of the next scan, which is then part of the maps; None if it does not fit
         them."""
-        pose = self._predicted(scan.time_s)
+        begin_s = middle_s = scan.time_s
+        if self._how.deskew and len(scan.points):
+            # a wrong velocity bends a scan and moves its ends, but hardly its middle
+            middle_s += float(np.mean(scan.more.get("t", 0.0)))
         period_s = self._track[-1][0] - self._track[0][0] if self._track else 0.0
-        pace = self._predicted(scan.time_s + period_s), period_s
-        points = self._sampled(replace(scan, pose=pose), pace)
+        begin, end, pose = map(self._predicted, (begin_s, begin_s + period_s, middle_s))
+        points = self._sampled(replace(scan, pose=begin), (end, period_s), pose)
         if points is None:
             return None
         if not self._maps:
@@ -172,13 +175,15 @@ class _Matcher:
             pose = fit
         for each in self._maps:
             each.insert(points, matrix_of(pose))
-        self._track = [*self._track[-1:], (scan.time_s, pose)]
-        return pose
+        self._track = [*self._track[-1:], (middle_s, pose)]
+        return self._predicted(begin_s)
 
     def closing_error(self, log: Log, first: int, last: int) -> float:
         """Return by how much the poses of two scans of one place err, metres; NaN if the scans do
         not fit each other."""
-        before, after = (self._sampled(next(log.scans(n)), pace_of(log, n)) for n in (first, last))
+        before, after = (
+            self._sampled(next(log.scans(n)), pace_of(log, n), log.poses[n]) for n in (first, last)
+        )
         maps = [self._gicp.GaussianVoxelMap(edge) for edge in self._edges_m]
         for each in maps:
             each.insert(before)
@@ -196,11 +201,11 @@ class _Matcher:
         ahead = (time_s - end_s) / (end_s - start_s) if end_s > start_s else 0.0
         return between(start, end, 1 + min(ahead, MAX_AHEAD))
 
-    def _sampled(self, scan: LogScan, pace: tuple[Pose, float]) -> Any:
-        """Return the returns of a scan in its own frame, one for each small voxel, with their
+    def _sampled(self, scan: LogScan, pace: tuple[Pose, float], frame: Pose) -> Any:
+        """Return the returns of a scan in a frame, one for each small voxel, with their
         covariances; None if they are too few. `pace` is as of `pace_of`."""
-        step = chained(inverse(scan.pose), pace[0]), pace[1]
-        points, ranges, *_ = in_world(replace(scan, pose=ORIGIN), step, self._how)
+        begin, end = (chained(inverse(frame), pose) for pose in (scan.pose, pace[0]))
+        points, ranges, *_ = in_world(replace(scan, pose=begin), (end, pace[1]), self._how)
         if len(points) < MIN_POINTS:
             return None
         if not self.coarse_m:
