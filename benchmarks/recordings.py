@@ -2,6 +2,7 @@
 
     python benchmarks/recordings.py room tsdf-fusion-python/data room    # a Kinect in a room
     python benchmarks/recordings.py laser 3DTK/dat laser                 # a laser on a robot
+    python benchmarks/recordings.py flow val/7fab2350-7eaf-3b7e-a39d-6937a4c1bede sweeps
     scenegen ingest room -o room-map
     python benchmarks/real.py MAPS --recordings FOLDER                   # both logs in FOLDER
 
@@ -9,23 +10,34 @@
 `andyzeng/tsdf-fusion-python` keeps them. Every fourth pixel of a row and a column is taken. Its
 poses do not know what is up: the direction near the cameras' in which most points lie on levels.
 `laser` is three scans of a tilting SICK scanner with the robot's own odometry, from `3DTK/3DTK`.
+`flow` is two sweeps of Argoverse 2 (Wilson et al. 2021) from the tests of `argoverse/av2-api`, with
+labels that say which points of the first one move. It also prints which points and voxels `ingest
+--moved-share` drops. Rays are taken to begin at the upper of two lidars.
 """
 
 import itertools
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 import measuring
 import numpy as np
+import pandas as pd
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from tyro.conf import Positional
 
-from lidarsim.grid import Floats
-from scenegen.logs import LogScan
+from lidarsim import Pose
+from lidarsim.engines.voxels import FREE
+from lidarsim.grid import Floats, Mask
+from lidarsim.pose import chained, rotate
+from scenegen.logs import Fusing, LogScan
+from scenegen.logs.fuse import ingest
+from scenegen.logs.read import read_log
 from scenegen.logs.record import write_log
-from scenegen.worlds.poses import pose_of_matrix
+from scenegen.worlds.place import read_place
+from scenegen.worlds.poses import pose_of_matrix, poses_of
 
 STRIDE = 4
 """Of so many pixels in a row and in a column, one is taken."""
@@ -41,11 +53,16 @@ LEVEL_M = 0.02
 TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From 3DTK's axes (right, up, forward) to forward, left, up."""
 
+PLACE = ["tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw"]
+"""Argoverse's names of a pose's numbers."""
+SHARES = (0.0, 0.2, 0.49, 0.51)
+"""Values of --moved-share; of two scans, one is a half."""
+
 
 class Options(measuring.Options):
     """What is made of what."""
 
-    recording: Positional[Literal["room", "laser"]]
+    recording: Positional[Literal["room", "laser", "flow"]]
     source: Positional[Path]
     """the folder with its files"""
     out: Positional[Path]
@@ -55,8 +72,12 @@ class Options(measuring.Options):
 def main() -> None:
     """Write the log."""
     given = measuring.parse(Options)
-    scans = room if given.recording == "room" else laser
+    scans = {"room": room, "laser": laser, "flow": flow}[given.recording]
     print(write_log(given.out, scans(given.source)))
+    if given.recording == "flow":
+        labels = pd.read_feather(given.source / "flow_labels.feather")["dynamic"].to_numpy()
+        for share in SHARES:
+            print(f"moved-share {share:g}: {dropped(given.out, labels, share)}")
 
 
 def room(source: Path) -> Iterator[LogScan]:
@@ -117,6 +138,44 @@ def laser(source: Path) -> Iterator[LogScan]:
         yield LogScan(
             float(number), pose_of_matrix(pose[:3].reshape(-1), str(file)), points[near] @ TO_LEFT.T
         )
+
+
+def flow(source: Path) -> Iterator[LogScan]:
+    """Sweeps in the vehicle's frame, corrected for its motion; the first one is at 0 0 0."""
+    track = pd.read_feather(source / "city_SE3_egovehicle.feather").set_index("timestamp_ns")
+    mounts = pd.read_feather(source / "calibration" / "egovehicle_SE3_sensor.feather")
+    mount = mounts.set_index("sensor_name").loc["up_lidar", PLACE[:3]].to_numpy(float)
+    sweeps = sorted((source / "sensors" / "lidar").glob("*.feather"))
+    times = [int(sweep.stem) for sweep in sweeps]
+    poses = poses_of(track.loc[times, PLACE].to_numpy(), str(source))
+    for time, sweep, pose in zip(times, sweeps, poses, strict=True):
+        vehicle = Pose(pose.position - poses[0].position, pose.quaternion)
+        points = pd.read_feather(sweep)[["x", "y", "z"]].to_numpy(float)
+        yield LogScan((time - times[0]) / 1e9, chained(vehicle, Pose.level(mount)), points - mount)
+
+
+def dropped(path: Path, moves: Mask, share: float) -> str:
+    """Precision and recall of what `ingest` drops of a log's first scan, for which `moves` (N,)
+    says which points move: of points, and of voxels that hold nothing but such points."""
+    scan, how = next(read_log(path).scans()), Fusing(moved_share=share)
+    with tempfile.TemporaryDirectory() as folder:
+        ingest(read_log(path), Path(folder, "maps"), how)
+        voxels = read_place(Path(folder, "maps", "place-000.npz")).voxels
+    within = np.linalg.norm(scan.points, axis=1) < how.reach_m
+    points = rotate(scan.pose.quaternion, scan.points[within]) + scan.pose.position
+    index = np.floor((points - voxels.origin) / voxels.voxel_m).astype(int)
+    mapped = ((index >= 0) & (index < voxels.states.shape)).all(axis=1)
+    index, moves = index[mapped], moves[within][mapped]
+    cells, of_point = np.unique(index, axis=0, return_inverse=True)
+    standing = np.zeros(len(cells), bool)
+    standing[of_point[~moves]] = True
+    cell_gone = voxels.states[tuple(cells.T)] == FREE
+    rows = {"points": (cell_gone[of_point], moves), "voxels": (cell_gone, ~standing)}
+    return "; ".join(
+        f"{len(gone)} {name}, {np.count_nonzero(real)} move, {np.count_nonzero(gone)} dropped, "
+        f"{np.count_nonzero(gone & real)} both"
+        for name, (gone, real) in rows.items()
+    )
 
 
 if __name__ == "__main__":
