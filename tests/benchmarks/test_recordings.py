@@ -4,6 +4,7 @@ import runpy
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from PIL import Image
 
 from lidarsim.pose import rotate
@@ -48,3 +49,28 @@ def test_turns_of_left_handed_axes_are_turned_round(tmp_path, monkeypatch):
 
     # what was ahead is to the right now; what is farther than a scanner sees is left out
     assert np.allclose(points, [[2, -1, 0], [2, -1, 0.5]], atol=1e-6)
+
+
+def test_what_two_sweeps_drop_is_counted_against_labels_of_flow(tmp_path, monkeypatch, capsys):
+    """A wall at 6 m, and 50 points at 3 m which are gone in the second sweep."""
+    across, up = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(-1.9, 2, 0.04)]))
+    wall = np.stack([np.full(len(up), 6.03), across, up], axis=1)
+    sweeps = [np.concatenate([wall[:50] / 2, wall[50:]]), wall]
+    (tmp_path / "sensors" / "lidar").mkdir(parents=True)
+    (tmp_path / "calibration").mkdir()
+    place = dict.fromkeys(("tx_m", "ty_m", "tz_m", "qx", "qy", "qz"), 0.0) | {"qw": 1.0}
+    for time, points in enumerate(sweeps):
+        table = pd.DataFrame(points, columns=list("xyz"))
+        table.to_feather(tmp_path / "sensors" / "lidar" / f"{time}.feather")
+    track = pd.DataFrame([{"timestamp_ns": time, **place} for time in range(2)])
+    track.to_feather(tmp_path / "city_SE3_egovehicle.feather")
+    mount = pd.DataFrame([{"sensor_name": "up_lidar", **place}])
+    mount.to_feather(tmp_path / "calibration" / "egovehicle_SE3_sensor.feather")
+    moves = pd.DataFrame({"dynamic": np.arange(len(wall)) < 50})
+    moves.to_feather(tmp_path / "flow_labels.feather")
+
+    written("flow", tmp_path, tmp_path / "log", monkeypatch)
+
+    *_, half, more = capsys.readouterr().out.splitlines()
+    assert ", 50 move, 0 dropped" in half
+    assert ", 50 move, 50 dropped, 50 both" in more
