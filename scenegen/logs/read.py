@@ -144,12 +144,12 @@ def _read_recording(
     bag = Recording(path)
     contents = bag.contents(topic, fixed_frame)
     times = contents.stamps_s
-    if not posed:
-        poses, posed_s, source, form = [ORIGIN] * len(times), times, UNPOSED, "none"
-    elif poses_file is None:
+    poses = list[Pose | None]([ORIGIN] * len(times))
+    posed_s, source, form = times, UNPOSED, "none"
+    if posed and poses_file is None:
         with reraise_as(DatasetError, f"{path}: "):
             poses, posed_s, source, form = _by_frames(contents)
-    else:
+    elif poses_file is not None:
         track = read_poses(poses_file)
         poses, posed_s = _at_stamps(track, times, poses_file), track.times_s
         source, form = f"poses of the sensor from {poses_file.name}", track.form
