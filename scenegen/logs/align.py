@@ -46,8 +46,8 @@ def align(log: Log, how: Fusing, *, on_done: Counted = unheard) -> Log:
     The world is the frame of the first scan: z is up only if the sensor was level then. A scan is
     predicted by constant velocity, and registered to a coarse and then to a fine map of Gaussians,
     which forget what 100 scans have not met. A scan that fits neither is left out. Where the log
-    comes back within half a coarse voxel of an earlier position, the two scans are registered to each
-    other, and the difference to their poses is reported.
+    comes back within half a coarse voxel of an earlier position, the two scans are registered to
+    each other, and the difference to their poses is reported.
 
     Args:
         log: A log whose poses are not known, see `read_log`.
