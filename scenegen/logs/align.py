@@ -21,19 +21,19 @@ from scenegen.worlds.poses import between, inverse, pose_of_matrix
 
 FINE, FINE_M = 0.1, (0.2, 1.0)
 """Edge of the fine map's voxel, by the median range of the first scan, and its bounds, metres."""
-COARSE, SAMPLE = 5.0, 0.25
+COARSE, SAMPLE = 2.0, 0.25
 """Edges of the coarse map's voxel, and of that in which a scan keeps one point, by the fine one."""
 MIN_POINTS = 100
 """A scan with fewer points after sampling is not registered."""
 MIN_INLIERS = 0.5
 """A scan is not registered if a smaller share of its points lies in voxels of the map."""
-MAX_JUMP = 1.0
+MAX_JUMP = 2.0
 """A scan is not registered farther from its predicted position than so many coarse voxels."""
 MAX_AHEAD = 3.0
 """Motion is predicted over at most so many times the time between the last two scans."""
 MAX_FAILED = 0.1
 """A log is refused if more of its scans are not registered."""
-MAX_TESTED, NEAR, AWAY = 500, 0.5, 5.0
+MAX_TESTED, NEAR, AWAY = 500, 1.0, 10.0
 """Scans of which a return to a place is looked for; how near that is, and the minimum way since,
 by the coarse voxel."""
 CLOSINGS = 5
@@ -46,7 +46,7 @@ def align(log: Log, how: Fusing, *, on_done: Counted = unheard) -> Log:
     The world is the frame of the first scan: z is up only if the sensor was level then. A scan is
     predicted by constant velocity, and registered to a coarse and then to a fine map of Gaussians,
     which forget what 100 scans have not met. A scan that fits neither is left out. Where the log
-    comes back within half a coarse voxel of an earlier position, the two scans are registered to
+    comes back within a coarse voxel of an earlier position, the two scans are registered to
     each other, and the difference to their poses is reported.
 
     Args:
