@@ -23,6 +23,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats
+from scenegen.base.errors import DatasetError
 from scenegen.logs import Fusing
 from scenegen.logs.align import align
 from scenegen.logs.read import read_log
@@ -88,7 +89,10 @@ def _measured(path: Path, moving: bool, voxel_m: float) -> str:
 
 def _aligned(path: Path, moving: bool) -> str:
     """The errors of `ingest --align` on a log, and what it tells of itself."""
-    log = align(read_log(path, posed=False), Fusing(deskew=moving))
+    try:
+        log = align(read_log(path, posed=False), Fusing(deskew=moving))
+    except DatasetError as error:
+        return f"refused: {error}"
     true = read_log(path)
     known = dict(zip(true.times_s.tolist(), true.poses, strict=True))
     truth = np.array([matrix_of(known[time]) for time in log.times_s.tolist()])
