@@ -18,6 +18,7 @@ EXTRAS = {
     "rerun": "rerun",
     "rosbags": "mcap",
     "safetensors": "train",
+    "small_gicp": "align",
     "torch": "train",
 }
 """Optional packages, and the extra of scenegen that installs each."""

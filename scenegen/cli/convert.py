@@ -266,6 +266,9 @@ def map(
 )
 @click.argument("log", type=FILE)
 @log_options
+@click.option(
+    "--align", is_flag=True, help="Find the poses: register each scan to those before it."
+)
 @columns_option
 @options_of(
     Fusing,
@@ -286,11 +289,12 @@ def map(
 )
 @out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
-@group("Log", "poses poses-of topic fixed-frame columns deskew explain")
+@group("Log", "poses align poses-of topic fixed-frame columns deskew explain")
 @group("Maps", "voxel reach rise least moved-share")
 def ingest(
     log: Path,
     log_reading: dict[str, Any],
+    align: bool,
     columns: int | None,
     explain: bool,
     out: Path | None,
@@ -302,7 +306,8 @@ def ingest(
 
     A log is a sequence in the layout of KITTI's odometry or SemanticKITTI; a recording of ROS
     (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg, and /tf, odometry
-    or --poses; or a folder of clouds with --poses. The same command continues a stopped run.
+    or --poses; or a folder of clouds with --poses. With --align, none of them needs poses. The same
+    command continues a stopped run.
 
     \f
     Raises:
@@ -320,7 +325,13 @@ def ingest(
         how = Fusing(**options)
     if not explain:
         check_free(target)  # before the log is read, which takes minutes
-    recording = read_log(log, columns=columns, **log_reading)
+    recording = read_log(log, columns=columns, posed=not align, **log_reading)
+    if align:
+        from scenegen.logs.align import align as aligned
+
+        with Progress("align", visible=verbose) as progress:
+            progress.start(len(recording.poses))
+            recording = aligned(recording, how, on_done=progress.count)
     if explain:
         row = recording.explained()
         if report_result(row):

@@ -99,7 +99,7 @@ class Links:
                 "clouds; "
                 "they speak of "
                 f"{', '.join(map(short_repr, sorted(self._rows))) or 'no frame'}; give "
-                "the poses of the sensor with --poses"
+                "the poses of the sensor with --poses, or find them with `scenegen ingest --align`"
             )
         while name in self._rows and name != self._fixed:
             links.append(self._link(name))

@@ -36,7 +36,7 @@ from scenegen.logs.log import Log
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clouds.write import encode_npz
 from scenegen.worlds.place import box_of, encode_map
-from scenegen.worlds.poses import between
+from scenegen.worlds.poses import between, write_tum
 
 THREADS = 2
 """Threads that follow rays, each in a window of the map; the calling thread adds the windows up."""
@@ -62,7 +62,8 @@ are observed or free; and the returns (N, 3), metres from the sensor along the w
 
 
 def ingest(log: Log, out: Path, how: Fusing, *, on_done: Counted = unheard) -> Counter[str]:
-    """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder.
+    """Write the maps of a log, ``place-000.npz`` and on, its observations, and its poses as
+    ``poses.tum`` into a new folder.
 
     The folder has ``.part`` behind its name until it is complete. If a run is stopped or killed, or
     meets a scan that it cannot read, the same call continues from the last save, to the same bits.
@@ -136,6 +137,8 @@ class _Run:
         else:
             check_free(folder)
             (folder / "observations").mkdir(parents=True)
+            rows = zip(log.times_s.tolist(), log.poses, strict=True)
+            write_tum(folder / "poses.tum", rows)
             self._save()
         self._saved_s = time.monotonic()
         self._scans = log.scans(self._scan)
@@ -251,7 +254,7 @@ class _Run:
             for n in part:
                 try:
                     scan = next(self._scans)
-                    pace = _pace(self._log, n)
+                    pace = pace_of(self._log, n)
                     if self._how.deskew and ("t" not in scan.more or not pace[1]):
                         raise DatasetError(
                             f"scan {n}, at {scan.time_s:.14g} s, has no times of points that can "
@@ -275,7 +278,7 @@ class _Run:
             )
 
 
-def _pace(log: Log, n: int) -> tuple[Pose, float]:
+def pace_of(log: Log, n: int) -> tuple[Pose, float]:
     """Return a pose of the sensor after scan n began, and how many seconds after; 0 if no scan near
     it has another time."""
     poses, times = log.poses, log.times_s
@@ -289,9 +292,21 @@ def _pace(log: Log, n: int) -> tuple[Pose, float]:
     return poses[n], 0.0
 
 
-def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
-    """Follow the rays of a scan through the voxels around it; `pace` is from `_pace`."""
-    center, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
+def in_world(
+    scan: LogScan, pace: tuple[Pose, float], how: Fusing
+) -> tuple[Floats, Floats, Ints, dict[int, Floats]]:
+    """Move the returns of a scan into the world, each from where the sensor was at its time.
+
+    Args:
+        scan: The scan, with its pose.
+        pace: See `pace_of`.
+        how: `least_m` and `deskew` are used.
+
+    Returns:
+        The N returns in the world (N, 3) and their ranges (N,), metres; the slice of time of each
+        (N,); and the sensor's position (3,) in each slice.
+    """
+    after, seconds = pace
     usable = are_returns(scan.points, min_range_m=how.least_m)
     points = scan.points[usable]
     ranges = np.sqrt((points**2).sum(axis=1))
@@ -306,6 +321,13 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
         inside = slices == number
         points[inside] = rotate(pose.quaternion, points[inside]) + pose.position
         sensors[number] = pose.position
+    return points, ranges, slices, sensors
+
+
+def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
+    """Follow the rays of a scan through the voxels around it; `pace` is from `pace_of`."""
+    center, voxel_m = scan.pose.position, how.voxel_m
+    points, ranges, slices, sensors = in_world(scan, pace, how)
     # the window holds rays as far as they reach, and within the rise that is mapped
     reached = center + np.minimum(1.0, how.reach_m / ranges)[:, None] * (points - center)
     ends = np.concatenate([reached, [center, *sensors.values()]])

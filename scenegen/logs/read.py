@@ -43,6 +43,8 @@ NAMED_TIME = re.compile(rf"(\d+){FRACTION}")
 """Name of a cloud that is its time; `_` or `-` may stand for the decimal point."""
 NAMED_SINCE_1970 = re.compile(rf"(?<!\d)([1-9]\d{{9,}}){FRACTION}")
 """Time within the name of a cloud, as of nuScenes: n008…__LIDAR_TOP__1532402927647951."""
+ORIGIN, UNPOSED = Pose.level(np.zeros(3)), "no poses"
+"""The pose of every scan if none are read, and how that is reported."""
 PosesOf: TypeAlias = Literal["sensor", "camera"]
 
 
@@ -54,6 +56,7 @@ def read_log(
     poses_of: PosesOf | None = None,
     fixed_frame: str | None = None,
     columns: int | None = None,
+    posed: bool = True,
 ) -> Log:
     """Read the log at `path`.
 
@@ -70,6 +73,8 @@ def read_log(
             the sensor.
         fixed_frame: The frame of a recording that poses are in, see `Links`.
         columns: For a folder of clouds, see `scenegen.worlds.clouds.read_cloud`.
+        posed: Whether to read poses. If not, all scans are at the origin, as
+            `scenegen.logs.align` takes them.
 
     Raises:
         DatasetError: There is no log, it is damaged, or it can be read in two ways.
@@ -77,6 +82,11 @@ def read_log(
     if not path.is_dir() and not (path.is_file() and path.suffix in RECORDINGS):
         raise DatasetError(
             f"{path}: no such recording ({', '.join(RECORDINGS)}) or folder of clouds"
+        )
+    if not posed and (poses or poses_of or fixed_frame):
+        raise DatasetError(
+            f"{path}: --align finds the poses of the sensor; leave out --poses, --poses-of and "
+            "--fixed-frame, or --align"
         )
     kitti_file = path / "poses.txt"
     if not kitti_file.exists():  # KITTI's own archives keep poses in another folder
@@ -91,15 +101,18 @@ def read_log(
             )
         if poses and fixed_frame:
             raise DatasetError(f"{path}: poses of a file are in one frame; leave out --fixed-frame")
-        return _read_recording(recording, topic, poses, fixed_frame)
+        return _read_recording(recording, topic, poses, fixed_frame, posed)
     if topic or fixed_frame:
         raise DatasetError(
             f"{path}: a folder of clouds has no topics or frames; leave out --topic and "
             "--fixed-frame"
         )
-    if poses is None and not kitti_file.exists():
-        raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
-    return _read_folder(path, poses, kitti_file, poses_of, columns)
+    if posed and poses is None and not kitti_file.exists():
+        raise DatasetError(
+            f"{path}: has no poses.txt; give the file of its poses with --poses, or find them with "
+            "`scenegen ingest --align`"
+        )
+    return _read_folder(path, poses, kitti_file if posed else None, poses_of, columns)
 
 
 def _recording_at(path: Path) -> Path | None:
@@ -117,7 +130,11 @@ def _recording_at(path: Path) -> Path | None:
 
 
 def _read_recording(
-    path: Path, topic: str | None, poses_file: Path | None, fixed_frame: str | None
+    path: Path,
+    topic: str | None,
+    poses_file: Path | None,
+    fixed_frame: str | None,
+    posed: bool,
 ) -> Log:
     """Read the log in a recording, with the poses in `poses_file`, or else its own.
 
@@ -127,10 +144,12 @@ def _read_recording(
     bag = Recording(path)
     contents = bag.contents(topic, fixed_frame)
     times = contents.stamps_s
-    if poses_file is None:
+    poses = list[Pose | None]([ORIGIN] * len(times))
+    posed_s, source, form = times, UNPOSED, "none"
+    if posed and poses_file is None:
         with reraise_as(DatasetError, f"{path}: "):
             poses, posed_s, source, form = _by_frames(contents)
-    else:
+    elif poses_file is not None:
         track = read_poses(poses_file)
         poses, posed_s = _at_stamps(track, times, poses_file), track.times_s
         source, form = f"poses of the sensor from {poses_file.name}", track.form
@@ -184,7 +203,7 @@ def _at_stamps(track: Track, times: Floats, source: Path) -> list[Pose | None]:
 def _read_folder(
     path: Path,
     poses_file: Path | None,
-    kitti_file: Path,
+    kitti_file: Path | None,
     poses_of: PosesOf | None,
     columns: int | None,
 ) -> Log:
@@ -193,7 +212,8 @@ def _read_folder(
     Args:
         path: The folder, or one with the clouds in ``velodyne``.
         poses_file: A file of poses that the user names.
-        kitti_file: The file of KITTI's layout, used if there is no `poses_file`.
+        kitti_file: The file of KITTI's layout, used if there is no `poses_file`. None: poses are
+            not read.
         poses_of: The sensor or the camera; None: decided by form and place of the file.
         columns: See `scenegen.worlds.clouds.read_cloud`.
 
@@ -204,11 +224,15 @@ def _read_folder(
     if not clouds.is_dir():
         clouds = path
     files, source = scans_in(clouds), poses_file or kitti_file
-    track = read_poses(source)
+    track = Track(np.full(len(files), np.nan), [ORIGIN] * len(files), "none")
+    if source:
+        track = read_poses(source)
     if not files:
         raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)} files")
     poses, poses_owner = track.poses, "sensor"
-    if _is_of_camera(path / "calib.txt", source, track, poses_file is not None, poses_of):
+    if source and _is_of_camera(
+        path / "calib.txt", source, track, poses_file is not None, poses_of
+    ):
         camera, poses_owner = _camera(path / "calib.txt", source), "camera, moved by Tr,"
         # from the camera's frame to the sensor's, on both sides: in the world, and on the vehicle
         poses = [chained(chained(inverse(camera), pose), camera) for pose in poses]
@@ -235,19 +259,19 @@ def _read_folder(
             "clouds": f"{len(files)} clouds",
             "fields": first.layout,
             "frame": "frame of the sensor",
-            "poses": f"poses of the {poses_owner} from {source.name}",
+            "poses": f"poses of the {poses_owner} from {source.name}" if source else UNPOSED,
         },
         details={"poses_form": track.form, **pairs},
     )
 
 
 def _paired(
-    path: Path, files: Sequence[Path], track: Track, source: Path
+    path: Path, files: Sequence[Path], track: Track, source: Path | None
 ) -> tuple[Floats, Sequence[Pose | None], dict[str, str]]:
     """Return when each cloud began, seconds, its pose, and for people how both were found. Raises
     DatasetError if poses and clouds cannot be paired."""
     times, source_name = _times_beside(path, len(files)), "times.txt"
-    if np.isnan(times).all() and track.is_timed:
+    if np.isnan(times).all() and (track.is_timed or source is None):
         times, source_name = _times_named(files, track.times_s), "the names of the clouds"
     are_known = bool(np.isfinite(times).all())
     in_order = len(files) == len(track.poses)
@@ -267,7 +291,7 @@ def _paired(
             "by number"
         )
     if track.is_timed:
-        times, source_name = track.times_s, source.name
+        times, source_name = track.times_s, str(source and source.name)
     elif not are_known:
         times, source_name = USUAL_S * np.arange(float(len(files))), f"unknown, {USUAL_S:g} s apart"
     return (

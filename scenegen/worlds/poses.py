@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -151,6 +151,19 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
     )
     form = f"columns {' '.join(name for name, _ in named if name)}, t in {unit}"
     return Track(times_s, poses, form)
+
+
+def write_tum(path: Path, rows: Iterable[tuple[float, Pose]]) -> None:
+    """Write poses as TUM does: time in seconds, x y z in metres, quaternion x y z w.
+
+    Args:
+        path: The file, which is replaced.
+        rows: Times and poses.
+    """
+    table = [
+        [time, *pose.position, *pose.quaternion[1:], pose.quaternion[0]] for time, pose in rows
+    ]
+    np.savetxt(path, table, "%.15g")
 
 
 def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:

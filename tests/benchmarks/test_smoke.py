@@ -13,7 +13,7 @@ from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = {"measuring", "places", "scoring", "served"}
+SHARED = {"argoverse", "measuring", "places", "scoring", "served"}
 STUDY = ROOT / "docs" / "results" / "study.json"
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {}
