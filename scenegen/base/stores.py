@@ -39,13 +39,13 @@ ATTEMPTS = 11
 half a minute."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
 """Errors of the local disk."""
-READS = 4
-"""How often s3fs repeats a truncated download."""
+DOWNLOADS = 4
+"""How often s3fs tries a download that is truncated."""
 CONNECT_S, READ_S = 5, 30
 """Timeouts of a connection and of an answer, seconds."""
 AGAIN = "what is finished is kept: give the same command again to go on"
 """Advice after an error that may pass."""
-READS = 10
+REREADS = 10
 """How often an object is read that others replace meanwhile."""
 CONFLICT = (
     "somebody else has put other bytes there; end other runs that write there, remove the object "
@@ -155,12 +155,12 @@ class Store:
                 return file.read(max_bytes + 1), details.get("ETag")
 
         self._versions.pop(name, None)
-        for attempt in range(READS):
+        for attempt in range(REREADS):
             try:
                 content, version = self._ask(name, _read)
                 break
             except ConflictError:  # it was replaced after the request for its version
-                if attempt == READS - 1:
+                if attempt == REREADS - 1:
                     raise
         if len(content) > max_bytes:
             raise DatasetError(f"{self}/{name}: more than {max_bytes} bytes")
@@ -327,7 +327,7 @@ def _connect(url: str, process: int) -> tuple[Any, str]:
             f"{url}: fsspec has nothing here that reads it ({type(error).__name__}); give a "
             "folder, hf://user/name or s3://bucket/folder"
         ) from None
-    system.retries = READS
+    system.retries = DOWNLOADS
     return system, path
 
 
