@@ -198,6 +198,11 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     all_ranges, (elevation, azimuth) = np.linalg.norm(points, axis=1), angles_deg(points)
     groups = _split(elevation, rings)
     elevations = np.array([_elevation(elevation[rows], all_ranges[rows]) for rows in groups])
+    if (usual_m := np.median(all_ranges)) > sensor.max_range_m:
+        raise ValueError(
+            f"has ranges of {usual_m:.0f} m in the median, and {sensor.name} has at most "
+            f"{sensor.max_range_m:g} m; expected metres: if these are mm or cm, divide the points"
+        )
     quantum_m = _quantum(all_ranges)
     beams = _beams(elevations, quantum_m, sensor)
 
