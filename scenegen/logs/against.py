@@ -253,7 +253,9 @@ def _split(elevation: Floats, rings: Floats | None) -> list[Ints]:
     groups = np.split(order, np.flatnonzero(np.diff(values[order]) > least) + 1)
     groups = [group for group in groups if len(group) >= MIN_RETURNS]
     widths = [np.ptp(values[group]) for group in groups]
-    if not groups or max(widths) > MAX_WIDTH_DEG or sum(map(len, groups)) < MIN_IN * len(order):
+    # a width is NaN if some returns have a NaN as ring
+    told = len(groups) > 0 and np.max(widths) <= MAX_WIDTH_DEG
+    if not told or sum(map(len, groups)) < MIN_IN * len(order):
         raise ValueError(
             "its channels cannot be told by elevations; expected a field ring, or a whole scan in "
             "the sensor's own frame, neither moved nor deskewed, of beams that begin at its centre"
