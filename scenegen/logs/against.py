@@ -198,6 +198,11 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     all_ranges, (elevation, azimuth) = np.linalg.norm(points, axis=1), angles_deg(points)
     groups = _split(elevation, rings)
     elevations = np.array([_elevation(elevation[rows], all_ranges[rows]) for rows in groups])
+    if (usual_m := np.median(all_ranges)) > sensor.max_range_m:
+        raise ValueError(
+            f"has ranges of {usual_m:.0f} m in the median, and {sensor.name} has at most "
+            f"{sensor.max_range_m:g} m; expected metres: if these are mm or cm, divide the points"
+        )
     quantum_m = _quantum(all_ranges)
     beams = _beams(elevations, quantum_m, sensor)
 
@@ -248,7 +253,9 @@ def _split(elevation: Floats, rings: Floats | None) -> list[Ints]:
     groups = np.split(order, np.flatnonzero(np.diff(values[order]) > least) + 1)
     groups = [group for group in groups if len(group) >= MIN_RETURNS]
     widths = [np.ptp(values[group]) for group in groups]
-    if not groups or max(widths) > MAX_WIDTH_DEG or sum(map(len, groups)) < MIN_IN * len(order):
+    # a width is NaN if some returns have a NaN as ring
+    told = len(groups) > 0 and np.max(widths) <= MAX_WIDTH_DEG
+    if not told or sum(map(len, groups)) < MIN_IN * len(order):
         raise ValueError(
             "its channels cannot be told by elevations; expected a field ring, or a whole scan in "
             "the sensor's own frame, neither moved nor deskewed, of beams that begin at its centre"

@@ -159,6 +159,10 @@ def test_scans_of_another_sensor_are_refused(standing, capsys):
     refuses("moved", measure, [moved], VLP_16)
     refuses("nothing", measure, [Cloud(np.zeros((9, 3)), "")], VLP_16)
     refuses("steps", measure, [scan], HELIOS_16P)
+    refuses("mm", measure, [Cloud(1e3 * scan.points, "")], VLP_16)
+    rings = np.repeat(np.arange(16.0), VLP_16.shape[1])
+    rings[rings == 3] = np.nan
+    refuses("rings", measure, [Cloud(scan.points, "", rings=rings)], VLP_16)
     refuses("no channels", measure, [scan], MID_360)
     np.save("scan.npy", cloud(rays(UNIT)).points)
     for words in (
