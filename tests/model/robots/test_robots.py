@@ -385,6 +385,7 @@ fly suite --hidden 7 --maps .
 fly world pillar --robot optimist
 fly world pillar --robot reactive --weights columns
 fly world pillar --robot no_such:Robot --flights 1
+fly world pillar --brakes --doubt nan
 """
 
 
