@@ -72,6 +72,8 @@ def _moments(
     for count, seen in enumerate(flown_again(simulation, flown), start=1):
         if robot is not None:
             robot.act(seen)
+        # the world's: what the robot is told may drift
+        seen |= {"position": simulation.pose.position, "quaternion": simulation.pose.quaternion}
         way.append(seen["position"])
         if count % every == 1:
             # a robot of a user's own need not map
@@ -93,7 +95,8 @@ def looks_of_flight(
     """Fly a flight again, and return its pictures in the order of time.
 
     They show the truth, the voxels that the robot takes for occupied, its scans, and its path,
-    first the flown part and then the planned one. The first has the film's curves.
+    first the flown part and then the planned one. The first has the film's curves. With drift, its
+    map and plan are where it takes them to be, all else is where it is.
 
     Args:
         name: Name of the robot.

@@ -134,6 +134,9 @@ class MappingRobot:
         position = observation["position"]
         self._corner = np.floor(position / self.grid.voxel_m).astype(np.int64)
         self._corner -= np.array(self.grid.shape) // 2
+        # a position that drifts may be far outside the bounds, where nothing is remembered
+        shape = np.array(self._known.shape[1:])
+        self._corner = np.clip(self._corner, self._least, self._least + shape - self.grid.shape)
         self._see(observation)
         self._believe()
         # a path that still holds is flown on: a new one at every decision could swing to and fro

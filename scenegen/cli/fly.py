@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from lidarsim.parameters import Bounds
 from lidarsim.registry import Registry
 from scenegen.base.errors import ScenegenError
 from scenegen.base.executors import Executor, check_together
@@ -33,7 +34,7 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
-from scenegen.cli.types import FILE, Choice, Named, OutputFile
+from scenegen.cli.types import FILE, Choice, Named, Number, OutputFile
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.robots import (
     BRAKING,
@@ -77,7 +78,7 @@ robot_options = together(
     ),
     click.option(
         "--doubt",
-        type=click.FloatRange(LEAST_DOUBT, 1, min_open=True),
+        type=Number(Bounds(above=LEAST_DOUBT, maximum=1)),
         help="With --brakes: only for unseen voxels whose predicted probability of being occupied "
         "is at least this.",
     ),

@@ -308,15 +308,14 @@ def flown_again(
         blind: Whether nothing is scanned, which is faster.
 
     Yields:
-        The robot's observation before each command; {} if `blind`.
+        The robot's observation before each command is flown; {} if `blind`.
     """
     for command in flown.commands:
         commands, exceeds = bounded(command, simulation.vehicle)
         if simulation.outcome is not None or commands is None or exceeds:
             return
-        seen = {} if blind else simulation.observe()
+        yield {} if blind else simulation.observe()
         simulation.step(command)
-        yield seen
 
 
 def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
@@ -336,6 +335,6 @@ def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     times = (sensor.times_s * course.moving).astype(np.float32)
     for seen in flown_again(simulation, flown):
         hit = np.isfinite(seen["ranges"])
-        pose = mounted(sensor, Pose(seen["position"], seen["quaternion"]))
+        pose = mounted(sensor, simulation.pose)  # the true one, also where odometry drifts
         points = seen["points"][hit].astype(np.float64) - arm  # from the body to the sensor
         yield LogScan(float(seen["time_s"][0]), pose, points, {"t": times[hit]})

@@ -151,6 +151,11 @@ class Simulation:
         to another process."""
         return vars(self) | {"_digest": None}
 
+    @property
+    def pose(self) -> Pose:
+        """The body's pose in the world now, which a robot is told with the errors of odometry."""
+        return self._body.pose if self._body else pose_of(self.state, self.vehicle)
+
     def about(self) -> Observation:
         """Return facts for the robot before it flies, all as float arrays.
 
@@ -192,8 +197,7 @@ class Simulation:
         Raises:
             GenerationError: The noise does not fit the world.
         """
-        pose = self._body.pose if self._body else pose_of(self.state, self.vehicle)
-        chain = self.noise
+        pose, chain = self.pose, self.noise
         if self.moving:  # the motion at the scan's begin, taken as even during it
             forward, left, up = rotate(pose.back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)

@@ -203,8 +203,8 @@ def look_of_world(world: Any, name: str) -> Look:
                 for axis, low, high in zip("xyz", *corners, strict=True)
             )
             notes.append(
-                f"voxels are drawn where the sensor may fly, {ranges}; {count} of {len(lower)} "
-                "solids reach beyond"
+                f"voxels are drawn where the sensor may fly and below, {ranges}; {count} of "
+                f"{len(lower)} solids reach beyond"
             )
         surfaces = surfaces_of(world)
         if movers := world.movers:

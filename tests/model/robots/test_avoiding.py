@@ -155,3 +155,14 @@ def test_what_is_likely_free_counts_as_seen(brakes, clear):
 @pytest.mark.parametrize("brakes", [None, 0.0, 0.3])
 def test_names_tell_how_a_robot_brakes(brakes):
     assert parted(named("anywhere", brakes)) == ("anywhere", brakes)
+
+
+@pytest.mark.parametrize("name", ["optimistic", "predicting"])
+def test_a_position_that_drifts_far_beyond_the_bounds_crashes_no_robot(name):
+    robot = robot_maker(name, None)(None)
+    flying = crossing(HALL, -4.0)
+    robot.reset(flying.about())
+    for metres in (-50.0, 50.0):
+        seen = flying.observe()
+        action = robot.act(seen | {"position": seen["position"] + metres})
+        assert np.isfinite(action).all()

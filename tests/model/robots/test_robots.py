@@ -19,7 +19,7 @@ from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
 from scenegen.model.completion.protocol import Conservative, Returns
 from scenegen.model.robots import NAMES, flights, mapping
-from scenegen.model.robots.film import ENDS, looks_of_recording
+from scenegen.model.robots.film import ENDS, looks_of_flight, looks_of_recording
 from scenegen.model.robots.flights import ANEW, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from tests.command_line import done, rows, run
@@ -385,9 +385,17 @@ fly suite --hidden 7 --maps .
 fly world pillar --robot optimist
 fly world pillar --robot reactive --weights columns
 fly world pillar --robot no_such:Robot --flights 1
+fly world pillar --brakes --doubt nan
 """
 
 
 @pytest.mark.parametrize("words", [words for (words,) in rows(BAD_USE)])
 def test_bad_use_ends_in_a_line(capsys, words):
     refuses_command(capsys, words)
+
+
+def test_the_film_shows_where_a_flight_that_drifts_was():
+    course = Course(world="pillar", flights=1, seed=4, rules=Rules(drift_m=5.0, drift_deg=20.0))
+    flown = fly(course.simulation(0), robot_maker("reactive", None)(course))
+    shown = looks_of_flight("reactive", course, 0, None, [flown])[-1]
+    np.testing.assert_allclose(shown.guesses[0].route.points, flown.path, atol=1e-12)

@@ -22,7 +22,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
-from scenegen.fly.course import Course, Recording, read_recording, replay
+from scenegen.fly.course import Course, Recording, log_of, read_recording, replay
 from scenegen.fly.loop import HOVER, fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, STEPS, Quadrotor, advance, max_pull, pose_of
@@ -597,3 +597,10 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
     assert 0.02 < max(lags) < 0.2
     assert lags[-1] < 0.01
     assert_allclose(lead[9:], state[9:], atol=0.01)
+
+
+def test_the_log_of_a_flight_has_true_poses():
+    course = replace(course_of(1), rules=Rules(drift_m=5.0, drift_deg=20.0))
+    flown = fly(course.simulation(0), Scripted(straight(0.0)))
+    positions = [scan.pose.position for scan in log_of(course, 0, flown)]
+    assert_allclose(positions, flown.path[:-1], atol=1e-12)

@@ -133,8 +133,8 @@ def test_a_world_is_shown_with_its_surfaces():
     truth = read_world(path).truth(look.grid, look.origin)["occupancy"]
     assert_array_equal(look.masks["occupancy"], truth)
     assert look.missing == (
-        "voxels are drawn where the sensor may fly, x -11 to 11 m, y -7 to 7 m, z -0.2 to 5 m; "
-        "103 of 240 solids reach beyond",
+        "voxels are drawn where the sensor may fly and below, x -11 to 11 m, y -7 to 7 m, "
+        "z -0.2 to 5 m; 103 of 240 solids reach beyond",
     )
     (sample,) = samples_of(page_of(str(path)).html)
     corners = np.frombuffer(gzip.decompress(base64.b64decode(sample["triangles"])), "<f4")
