@@ -1,6 +1,7 @@
 """Finds the poses of a log whose scans have none: registers each scan to a map of those before it,
 by voxelised GICP (Koide et al. 2021, `small_gicp`)."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -27,6 +28,10 @@ MIN_POINTS = 100
 """A scan with fewer points after sampling is not registered."""
 MIN_INLIERS = 0.5
 """A scan is not registered if a smaller share of its points lies in voxels of the map."""
+MIN_FACING = 0.05
+"""A scan is not registered if a smaller share of its surfaces faces the direction that the fewest
+do, within 45°: nothing then shows motion along it, as in a corridor or on an open floor. Corridors
+have up to .033, public scans .15 to .31."""
 MAX_JUMP = 2.0
 """A scan is not registered farther from its predicted position than so many coarse voxels."""
 MAX_AHEAD = 3.0
@@ -80,8 +85,9 @@ def align(log: Log, how: Fusing, *, on_done: Counted = unheard) -> Log:
         named = ", ".join(map(str, failed[:5])) + ", …" * (len(failed) > 5)
         raise DatasetError(
             f"--align cannot register {len(failed)} of {len(log.poses)} scans to those before them "
-            f"(number {named} from 0 on): they do not overlap, or hold too few points; expected at "
-            f"most {MAX_FAILED:.0%}; cut the log there, or give its poses with --poses"
+            f"(number {named} from 0 on): they do not overlap, hold too few points, or show no "
+            f"motion in some direction, as in corridors; expected at most {MAX_FAILED:.0%}; cut the "
+            "log there, or give its poses with --poses"
         )
 
     def scans(first: int = 0) -> Iterator[LogScan]:
@@ -203,7 +209,8 @@ class _Matcher:
 
     def _sampled(self, scan: LogScan, pace: tuple[Pose, float], frame: Pose) -> Any:
         """Return the returns of a scan in a frame, one for each small voxel, with their
-        covariances; None if they are too few. `pace` is as of `pace_of`."""
+        covariances; None if they are too few, or too few face one direction. `pace` is as of
+        `pace_of`."""
         begin, end = (chained(inverse(frame), pose) for pose in (scan.pose, pace[0]))
         points, ranges, *_ = in_world(replace(scan, pose=begin), (end, pace[1]), self._how)
         if len(points) < MIN_POINTS:
@@ -212,7 +219,8 @@ class _Matcher:
             fine = float(np.clip(FINE * np.median(ranges), *FINE_M))
             self._edges_m = COARSE * fine, fine
         sampled, _ = self._gicp.preprocess_points(points, SAMPLE * self._edges_m[1])
-        return sampled if sampled.size() >= MIN_POINTS else None
+        is_enough = sampled.size() >= MIN_POINTS and _facing(sampled.normals()[:, :3]) >= MIN_FACING
+        return sampled if is_enough else None
 
     def _registered(self, maps: list[Any], points: Any, pose: Pose) -> tuple[Pose, float]:
         """Register points to the coarse and then the fine map, beginning at a pose. Return their
@@ -223,3 +231,9 @@ class _Matcher:
             )
             pose = pose_of_matrix(fit.T_target_source[:3].reshape(-1), "registration")
         return pose, fit.num_inliers / points.size()
+
+
+def _facing(normals: Floats) -> float:
+    """Share of unit normals (n, 3) within 45° of the direction that the fewest face."""
+    weakest = np.linalg.eigh(normals.T @ normals)[1][:, 0]
+    return float((np.abs(normals @ weakest) > math.sqrt(0.5)).mean())

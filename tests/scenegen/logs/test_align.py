@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lidarsim import Pose
+from scenegen.base.errors import DatasetError
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.align import align
 from scenegen.logs.read import read_log
@@ -93,3 +94,13 @@ def test_what_cannot_be_aligned_is_refused(standing, capsys, more):
     (standing / "log" / "poses.txt").unlink()
     refuses_command(capsys, f"ingest log -o out {more.replace('one', '--align')} --quiet", more)
     assert not (standing / "out").exists()
+
+
+def test_a_corridor_without_ends_is_refused(tmp_path):
+    """Every scan of it is the same wherever it is made, so a registration would find no motion."""
+    across = np.random.default_rng(0).uniform(-1, 1, (4000, 3)) * (20, 2, 1.5)
+    walls = across * [1, 0, 1] + [0, 2, 0] * np.sign(across)
+    floors = across * [1, 1, 0] + [0, 0, 1.5] * np.sign(across)
+    corridor = np.concatenate([walls[::2], floors[1::2]])
+    scans = [LogScan(n / 10, Pose.level((0, 0, 0)), corridor) for n in range(5)]
+    refuses("corridor", aligned, tmp_path, scans, error=DatasetError)
