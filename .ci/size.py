@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 324_500, "benchmarks": 33_000, "tests": 216_500}
-FILES = 229
+TOKENS = {"product": 331_500, "benchmarks": 36_500, "tests": 221_500}
+FILES = 231
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what
 explains code costs nothing."""

@@ -86,8 +86,8 @@ def align(log: Log, how: Fusing, *, on_done: Counted = unheard) -> Log:
         raise DatasetError(
             f"--align cannot register {len(failed)} of {len(log.poses)} scans to those before them "
             f"(number {named} from 0 on): they do not overlap, hold too few points, or show no "
-            f"motion in some direction, as in corridors; expected at most {MAX_FAILED:.0%}; cut the "
-            "log there, or give its poses with --poses"
+            f"motion in some direction, as in corridors; expected at most {MAX_FAILED:.0%}; cut "
+            "the log there, or give its poses with --poses"
         )
 
     def scans(first: int = 0) -> Iterator[LogScan]:
