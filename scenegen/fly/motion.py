@@ -175,8 +175,16 @@ class Quadrotor:
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
     def advance(self, command: Command, steps: int = STEPS) -> Floats:
-        """Return the states (steps, 11) after each step, see `advance`. Their acceleration is that
-        of thrust and weight, without drag."""
+        """Follow a command; see `advance`.
+
+        Args:
+            command: Velocity in the world, m/s, and yaw rate, rad/s, (4,).
+            steps: Number of steps.
+
+        Returns:
+            States (steps, 11) after each step. Their acceleration is that of thrust and weight,
+            without drag.
+        """
         leads = advance(self._leads, command, self._vehicle, steps)
         states = np.empty((steps, 11))
         for lead, state in zip(leads, states, strict=True):

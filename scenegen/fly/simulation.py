@@ -76,7 +76,15 @@ class Odometry:
         self.position += self.told(motion) + self._rules.drift_m * np.array(along)
 
     def told(self, vector: Floats, sign: int = 1) -> Floats:
-        """Turn a vector (3,) from the world to what the robot takes for it; back with -1."""
+        """Turn a vector by the error of the yaw.
+
+        Args:
+            vector: (3,), in the world.
+            sign: 1; or -1 to turn a vector of the robot's back to the world.
+
+        Returns:
+            (3,), as the robot takes it.
+        """
         return rotate(Pose.level(np.zeros(3), sign * self.yaw_rad).quaternion, vector[None])[0]
 
 

@@ -185,8 +185,16 @@ class _Matcher:
         return self._predicted(begin_s)
 
     def closing_error(self, log: Log, first: int, last: int) -> float:
-        """Return by how much the poses of two scans of one place err, metres; NaN if the scans do
-        not fit each other."""
+        """Register two scans of one place to each other.
+
+        Args:
+            log: The log, with the poses that were found.
+            first: Number of the earlier scan.
+            last: Number of the later one.
+
+        Returns:
+            By how much their poses err, metres; NaN if the scans do not fit each other.
+        """
         before, after = (
             self._sampled(next(log.scans(n)), pace_of(log, n), log.poses[n]) for n in (first, last)
         )

@@ -279,8 +279,16 @@ class _Run:
 
 
 def pace_of(log: Log, n: int) -> tuple[Pose, float]:
-    """Return a pose of the sensor after scan n began, and how many seconds after; 0 if no scan near
-    it has another time."""
+    """Find how the sensor moves during a scan.
+
+    Args:
+        log: The log.
+        n: Number of the scan.
+
+    Returns:
+        A pose of the sensor after the scan began, and how many seconds after; 0 if no scan near it
+        has another time.
+    """
     poses, times = log.poses, log.times_s
     # the next scan, unless its message was sent twice or late
     for after in range(n + 1, min(n + LATE, len(poses))):
