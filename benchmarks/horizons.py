@@ -8,6 +8,7 @@ each of two scans saw. Its target is the map half a second later.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ import scenegen
 from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
 from lidarsim.voxelization import ObservedGrid, voxelize
 from scenegen import Sample
-from scenegen.model.bench.moving import Later, about_movers, flow, tracked, tracks
+from scenegen.model.bench.moving import Later, about_movers, flow, tracks
 from scenegen.model.bench.statistics import holm, paired_p
 from scenegen.model.completion.completer import Completer
 
@@ -37,10 +38,8 @@ NEAR_M = 0.3
 """Completed voxels so near to the returns of a mover move with it."""
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
 INPUTS = "now", "now_free", "before", "before_free"
-NETWORK = "network"
 RIVALS = "its completion stays", "its completion at constant velocity"
-MADE = "returns", "`tracked`", "truth stays", "`flow`"
-"""Other rows, told beside them."""
+ROWS = "network", *RIVALS, "returns", "truth stays", "`flow`"
 
 
 def now(sample: Any, grid: GridSpec, sensor: Any) -> Mask:
@@ -103,6 +102,8 @@ class Options(measuring.Options):
     """datasets of the kinds that it learned from"""
     elsewhere: Sequence[Path]
     """datasets of other kinds"""
+    workers: int = 2
+    """processes"""
     figures: Path = RESULTS / "movers.csv"
 
 
@@ -112,41 +113,63 @@ def main() -> None:
     given = measuring.parse(Options, run=Path("run"), **places)
     if given.smoke:
         learn(given)
-    own = ",".join(f"horizons:{name}" for name in (*INPUTS, "Soon"))
-    network = Completer.from_pretrained(f"{own}@{given.run}")
-    found = [
-        np.array([curve(volume, sample) for volume in volumes(network, sample).values()])
-        for _, sample in samples(given.home, "val")
-    ]
-    at = dict(zip((NETWORK, *RIVALS, *MADE), np.nanmean(found, axis=0).argmax(axis=1), strict=True))
+    with ProcessPoolExecutor(given.workers) as pool:
+        (_, known, _), *tested = (
+            zip(*filter(None, pool.map(measured, *maps_of(given.run, *part))), strict=True)
+            for part in ((given.home, "val"), (given.home, "test"), (given.elsewhere, "test"))
+        )
+    at = np.nanmean(known, axis=0).argmax(axis=1)[:, None]
     lines, tests = [], {}
-    for where in ("home", "elsewhere"):
-        worlds, moving, whole = [], [], []
-        for world, sample in samples(getattr(given, where), "test"):
-            worlds.append(world)
-            later, about = sample.motion.occupancy(AFTER_S), about_movers(sample, AFTER_S)
-            answers = {
-                name: volume > THRESHOLDS[at[name]]
-                for name, volume in volumes(network, sample).items()
-            }
-            moving.append([iou(one[about], later[about]) for one in answers.values()])
-            whole.append([iou(one, later) for one in answers.values()])
-        by_row = dict(zip(at, np.array(moving).T, strict=True))
+    for where, (worlds, about, whole) in zip(("home", "elsewhere"), tested, strict=True):
+        moving, everywhere = (
+            np.take_along_axis(np.array(part), at[None], axis=2)[:, :, 0].T
+            for part in (about, whole)
+        )
         rows = [
-            (name, [told(one, worlds, ".3f", "share"), told(all_, worlds, ".3f", "share")])
-            for (name, one), all_ in zip(by_row.items(), np.array(whole).T, strict=True)
+            (name, [told(one, worlds, ".3f", "share") for one in pair])
+            for name, *pair in zip(ROWS, moving, everywhere, strict=True)
         ]
-        lines += titled(f"## After {AFTER_S} s, {where}", ("IoU, moving", "IoU"), rows)
-        for name in RIVALS:
-            tests[f"network less {name}, {where}"] = by_row[NETWORK], by_row[name], worlds
+        lines += titled(f"## After {AFTER_S} s, {where}", ("IoU about movers", "IoU"), rows)
+        for rival in (1, 2):
+            tests[f"network less {ROWS[rival]}, {where}"] = moving[0], moving[rival], worlds
     rng = np.random.default_rng(0)
     adjusted = holm([paired_p(*test, rng=rng) for test in tests.values()])
     rows = [
-        (what, [told(one - other, worlds, "+.3f"), f"{p:.3g}"])
-        for (what, (one, other, worlds)), p in zip(tests.items(), adjusted, strict=True)
+        (label, [told(one - other, worlds, "+.3f"), f"{p:.3g}"])
+        for (label, (one, other, worlds)), p in zip(tests.items(), adjusted, strict=True)
     ]
     lines += titled("## Does a network know where movers will be?", ("IoU, moving", "p"), rows)
     publish(given, lines)
+
+
+def maps_of(run: Path, datasets: Sequence[Path], split: str) -> Iterator[tuple[Any, ...]]:
+    """What `measured` is given for every map of a split, argument by argument."""
+    numbers = [(path, n) for path in datasets for n in range(len(scenegen.load(path, split=split)))]
+    return zip(*((run, path, split, n) for path, n in numbers), strict=True)
+
+
+def measured(run: Path, path: Path, split: str, number: int) -> tuple[str, Floats, Floats] | None:
+    """Measure a map.
+
+    Returns:
+        The name of its world; and IoU about movers and of the whole map of every row at every
+        threshold, (rows, thresholds) each. None if nothing moves in it.
+    """
+    sample: Any = scenegen.load(path, split=split)[number]
+    if not sample.motion.passed(AFTER_S).any():
+        return None
+    later, about = sample.motion.occupancy(AFTER_S), about_movers(sample, AFTER_S)
+    answers = volumes(network_of(run), sample)
+    moving = [[iou(one[about] > at, later[about]) for at in THRESHOLDS] for one in answers]
+    whole = [[iou(one > at, later) for at in THRESHOLDS] for one in answers]
+    return f"{path.name} {sample.world}", np.array(moving), np.array(whole)
+
+
+@lru_cache(1)
+def network_of(run: Path) -> Completer:
+    """The network of a run, which may be made of this script's code."""
+    own = ",".join(f"horizons:{name}" for name in (*INPUTS, "Soon"))
+    return Completer.from_pretrained(f"{own}@{run}")
 
 
 def learn(given: Options) -> None:
@@ -166,28 +189,12 @@ def learn(given: Options) -> None:
     scenegen.train(*given.home, out=given.run, variant="occ", **settings)
 
 
-def samples(datasets: Sequence[Path], split: str) -> Iterator[tuple[str, Sample]]:
-    """Samples of a split in which something moves, each with the name of its world."""
-    for path in datasets:
-        part = scenegen.load(path, split=split)
-        for sample in part:
-            if sample.motion.passed(AFTER_S).any():
-                yield f"{path.name} {sample.world}", sample
-
-
-def volumes(network: Completer, sample: Sample) -> dict[str, Field]:
-    """What each row says of the map after `AFTER_S`: probabilities (*grid.shape)."""
+def volumes(network: Completer, sample: Sample) -> list[Field]:
+    """Each row's answer for the map after `AFTER_S`: probabilities (*grid.shape)."""
     said = network(sample)
     still = said.occupancy_probability
-    return {
-        NETWORK: said.others["soon"],
-        RIVALS[0]: still,
-        RIVALS[1]: carried(still, sample),
-        "returns": sample.observed,
-        "`tracked`": tracked(sample)(AFTER_S),
-        "truth stays": sample.occupancy,
-        "`flow`": flow(sample)(AFTER_S),
-    }
+    soon, truth = said.others["soon"], sample.occupancy
+    return [soon, still, carried(still, sample), sample.observed, truth, flow(sample)(AFTER_S)]
 
 
 def carried(still: Field, sample: Any) -> Field:
@@ -206,13 +213,6 @@ def carried(still: Field, sample: Any) -> Field:
         inside = ((to >= 0) & (to < still.shape)).all(axis=1)
         np.maximum.at(result, tuple(to[inside].T), still[voxels][inside])
     return result
-
-
-def curve(volume: Field, sample: Sample) -> Floats:
-    """IoU about movers, at each of `THRESHOLDS`."""
-    about = about_movers(sample, AFTER_S)
-    later = sample.motion.occupancy(AFTER_S)[about]
-    return np.array([iou(volume[about] > at, later) for at in THRESHOLDS])
 
 
 if __name__ == "__main__":

@@ -21,14 +21,14 @@ SCRIPTS = {}
 for _command, _figure in rows(Path(__file__).with_name("figures.txt").read_text(encoding="utf-8")):
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
-    *("elsewhere", "generalisation", "horizons", "inference", "networks"),
+    *("elsewhere", "generalisation", "inference", "networks"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
     *("crowds", "extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
-    *("movers", "mutants", "study", "verify"),
+    *("horizons", "movers", "mutants", "study", "verify"),
 }
 """These take some seconds."""
 
