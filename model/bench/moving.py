@@ -28,6 +28,8 @@ RAYS = 4
 """Rays of the other scan about a point that must all go on behind it."""
 BEHIND_M = 0.3
 """How far behind it, metres."""
+CELL_M = 0.1
+"""Edge of the cells by which returns are linked, metres: all pairs of many would fill memory."""
 LINK_M = 0.6
 """Points at most this far apart are of one mover, metres."""
 FASTEST_MPS = 8.0
@@ -215,7 +217,8 @@ def _moved(scan: Scan, other: Scan) -> list[Floats]:
     distances = np.linalg.norm(ways, axis=1, keepdims=True)
     ends = np.minimum(other.ranges, other.lidar.max_range_m).reshape(-1)
     _, about = KDTree(other.directions.reshape(-1, 3)).query(ways / distances, k=RAYS)
-    return linked(points[(ends[about] > distances + BEHIND_M).all(axis=1)])
+    moved = points[(ends[about] > distances + BEHIND_M).all(axis=1)]
+    return linked(moved, cell_m=CELL_M)
 
 
 def linked(points: Floats, link_m: float = LINK_M, cell_m: float = 0.0) -> list[Floats]:
