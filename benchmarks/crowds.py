@@ -23,7 +23,7 @@ from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course, read_recording
 from scenegen.fly.loop import Flown
 from scenegen.model.bench.statistics import holm, paired_p
-from scenegen.model.robots import BRAKES, parted
+from scenegen.model.robots import BRAKES, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 
 DENSITIES = ("light", "medium", "dense")
@@ -119,7 +119,7 @@ def flown(folder: Path, density: str, name: str, given: Options) -> list[Flown]:
             )
             for kind, n in product(KINDS, range(given.worlds))
         ]
-        robot, brakes = parted(name)
+        robot, brakes = split_robot_name(name)
         work = partial(fly_course, robot=robot, weights=None, brakes=brakes)
         fly_courses(courses, work, name, None, file, crew_of(ALONE))
         print(file, flush=True)

@@ -1,5 +1,7 @@
 """Robots that fly by their observations: one that maps, completes and plans, and a reactive one."""
 
+from scenegen.model.config import PlanConfig
+
 FORGETFUL = "returns"
 """Name of the robot that uses only the last scan."""
 FORESEEING = "foreseeing"
@@ -19,14 +21,14 @@ BRAKING = tuple(name for name in MAPPING if name not in ("truth", FORESEEING))
 """Robots that can brake for what they have not seen; a network's can, too."""
 BRAKES = ", brakes"
 """End of the name of a robot that does."""
-LEAST_DOUBT = 0.2
-"""The least risk of a voxel that nothing has seen: `PlanConfig.unseen_risk`."""
+LEAST_DOUBT = PlanConfig().unseen_risk
+"""The least risk of a voxel that nothing has seen."""
 REACTIVE = "reactive"
 """Name of the robot without a map."""
 NAMES = (*MAPPING, REACTIVE)
 
 
-def named(robot: str, brakes: float | None) -> str:
+def robot_name(robot: str, brakes: float | None) -> str:
     """Name a robot that brakes.
 
     Args:
@@ -39,8 +41,8 @@ def named(robot: str, brakes: float | None) -> str:
     return robot if brakes is None else f"{robot}{BRAKES}" + (f" at {brakes:g}" if brakes else "")
 
 
-def parted(name: str) -> tuple[str, float | None]:
-    """Take apart what `named` made.
+def split_robot_name(name: str) -> tuple[str, float | None]:
+    """Take apart what `robot_name` made.
 
     Args:
         name: Name of a robot.

@@ -21,7 +21,7 @@ from scenegen.fly.loop import Flown
 from scenegen.fly.motion import POSITION, VELOCITY
 from scenegen.fly.simulation import HITS, Observation, Simulation
 from scenegen.model.config import split_own
-from scenegen.model.robots import FORGETFUL, NAMES, parted
+from scenegen.model.robots import FORGETFUL, NAMES, split_robot_name
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route, field_of_view
@@ -222,7 +222,7 @@ def looks_of_recording(path: Path, number: int = 0) -> list[Look]:
 def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
     """Return what makes the robot of a recording: one of scenegen's own, or one with the network
     whose bytes the recording names; else None."""
-    name, brakes = parted(recording.robot)
+    name, brakes = split_robot_name(recording.robot)
     if not recording.network:
         return robot_maker(name, None, brakes) if name in NAMES else None
     from scenegen.model.completion.completer import HUB, locate  # imports torch

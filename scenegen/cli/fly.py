@@ -43,7 +43,7 @@ from scenegen.model.robots import (
     MAPPING,
     NAMES,
     REACTIVE,
-    named,
+    robot_name,
 )
 from scenegen.worlds.traffic import PRESETS as TRAFFIC
 
@@ -352,7 +352,7 @@ def _begin(
     if weights is not None:
         name = f"{weights}, last scan" if robot == FORGETFUL else weights
         network = file_sha256(locate(weights))
-    name = named(name, brakes)
+    name = robot_name(name, brakes)
     work = partial(fly_course, robot=robot, weights=weights, brakes=brakes, hidden=hidden)
     return name, network, work
 

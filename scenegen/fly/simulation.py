@@ -73,9 +73,9 @@ class Odometry:
         spread = math.sqrt(3 * math.sqrt(x * x + y * y + z * z) / 100)
         *along, turn = (spread * self._rng.uniform(-1, 1, 4)).tolist()
         self.yaw_rad += math.radians(self._rules.drift_deg) * turn
-        self.position += self.told(motion) + self._rules.drift_m * np.array(along)
+        self.position += self.turned(motion) + self._rules.drift_m * np.array(along)
 
-    def told(self, vector: Floats, sign: int = 1) -> Floats:
+    def turned(self, vector: Floats, sign: int = 1) -> Floats:
         """Turn a vector by the error of the yaw.
 
         Args:
@@ -227,7 +227,7 @@ class Simulation:
             turn = Pose.level(np.zeros(3), self._odometry.yaw_rad)
             attitude = chained(turn, Pose(np.zeros(3), pose.quaternion)).quaternion
             pose = Pose(self._odometry.position.copy(), attitude)
-            velocity = self._odometry.told(velocity)
+            velocity = self._odometry.turned(velocity)
         scan = {
             "ranges": ranges,
             "position": pose.position.copy(),
@@ -268,10 +268,13 @@ class Simulation:
         before_m, vehicle = self._left_m(), self.vehicle
         low, high = np.array(self.mission.bounds)
         if self._odometry:
-            turned = self._odometry.told(command[:3].astype(float), -1)
-            command = np.array([*turned, command[3]], np.float32)
+            velocity = self._odometry.turned(command[:3].astype(float), -1)
+            command = np.array([*velocity, command[3]], np.float32)
         self._commands.appendleft(command)
-        states, pull = self._flown(), self._body.max_pull if self._body else max_pull(vehicle)
+        states, pull = (
+            self._states_of_period(),
+            self._body.max_pull if self._body else max_pull(vehicle),
+        )
         stray = pull * STEP_S * STEP_S / 8
         radius = vehicle.radius_m + stray
         self._turning = float(self._commands[self._late_periods][3])
@@ -313,7 +316,7 @@ class Simulation:
             self.outcome = "timeout"
         return before_m - self._left_m() + prize
 
-    def _flown(self) -> Floats:
+    def _states_of_period(self) -> Floats:
         """States (STEPS, 11) of a period: first by the command that is still followed."""
         state, parts = self.state, []
         late, periods = self._late_steps, self._late_periods

@@ -41,6 +41,7 @@ from scenegen.logs.bags import (
 )
 from scenegen.worlds.clouds.write import encode_points
 from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
+from scenegen.worlds.poses import write_tum
 from scenegen.worlds.traffic import KINDS
 from scenegen.worlds.world import AnyWorld, World
 
@@ -364,14 +365,13 @@ def write_log(out: Path, scans: Iterable[LogScan], on_done: Counted = unheard) -
 
 
 def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
-    tables: dict[str, list[Any]] = {"times.txt": [], "poses.txt": [], "poses.tum": []}
+    times_s, poses = list[float](), list[Pose]()
     (folder / "velodyne").mkdir()
     (folder / "calib.txt").write_text(CALIBRATION)
     for number, scan in enumerate(scans):
         # names count scans, as in KITTI; times are in a file
         content = encode_points(".bin", scan.points, scan.more.get("intensity"))
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
-        w, *vector = scan.pose.quaternion  # TUM has w last
         if "mover" in scan.more:
             (folder / "labels").mkdir(exist_ok=True)
             kinds = np.array([STANDING, *(LABELS[box.kind][1] for box in scan.boxes)], "<u4")
@@ -379,11 +379,11 @@ def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
             (folder / "labels" / f"{number:06d}.label").write_bytes(kinds[track] | track << 16)
             with open(folder / "label_02.txt", "a") as file:
                 file.writelines(_kitti_box(number, box, scan.pose) for box in scan.boxes)
-        tables["times.txt"].append(scan.time_s)
-        tables["poses.txt"].append(matrix_of(scan.pose)[:3].reshape(-1))
-        tables["poses.tum"].append([scan.time_s, *scan.pose.position, *vector, w])
-    for name, rows in tables.items():
-        np.savetxt(folder / name, rows, "%.12g")
+        times_s.append(scan.time_s)
+        poses.append(scan.pose)
+    np.savetxt(folder / "times.txt", times_s, "%.12g")
+    np.savetxt(folder / "poses.txt", [matrix_of(pose)[:3].reshape(-1) for pose in poses], "%.12g")
+    write_tum(folder / "poses.tum", zip(times_s, poses, strict=True))
 
 
 def _kitti_box(number: int, box: Box, pose: Pose) -> str:

@@ -13,7 +13,7 @@ from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
 from scenegen.model.completion.protocol import Prediction, Returns
-from scenegen.model.robots import FORESEEING, named, parted
+from scenegen.model.robots import FORESEEING, robot_name, split_robot_name
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.flights import robot_maker
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
@@ -154,7 +154,7 @@ def test_what_is_likely_free_counts_as_seen(brakes, clear):
 
 @pytest.mark.parametrize("brakes", [None, 0.0, 0.3])
 def test_names_tell_how_a_robot_brakes(brakes):
-    assert parted(named("anywhere", brakes)) == ("anywhere", brakes)
+    assert split_robot_name(robot_name("anywhere", brakes)) == ("anywhere", brakes)
 
 
 @pytest.mark.parametrize("name", ["optimistic", "predicting"])
