@@ -13,7 +13,7 @@ from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = {"argoverse", "measuring", "places", "scoring", "served"}
+SHARED = {"argoverse", "measuring", "places", "posterior", "scoring", "served"}
 STUDY = ROOT / "docs" / "results" / "study.json"
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {}
@@ -22,7 +22,7 @@ for _command, _figure in rows(Path(__file__).with_name("figures.txt").read_text(
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
     *("elsewhere", "generalisation", "inference", "networks"),
-    *("anywhere", "peers", "real", "training"),
+    *("anywhere", "ceiling", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""

@@ -1,0 +1,399 @@
+"""What can be known from one scan of a `pillar` world: docs/results/ceiling.md.
+
+    python benchmarks/ceiling.py ROOT                 # samples worlds for every map, then scores
+    python benchmarks/ceiling.py ROOT --sample-only   # in the background; a stopped run goes on
+
+ROOT gets the maps, and a file for each with worlds that look the same through its scan. Several of
+these commands with different --part may work on one ROOT. Maps with even numbers choose thresholds;
+the figures are of those with odd numbers.
+"""
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import measuring
+import numpy as np
+import scoring
+from posterior import MOVES, Chain, Looked, numbers_of, prior_of
+from scoring import drawn, publish, titled, told
+from tyro.conf import Positional
+
+from lidarsim import Pose
+from lidarsim.grid import Floats, Mask
+from scenegen import Dataset, Sample, preset
+from scenegen.dataset.read import Split
+from scenegen.draw.draw import WORLD, UnitKey
+from scenegen.model.bench.methods import rows_of
+from scenegen.model.bench.trials import (
+    Measurement,
+    draw_trials,
+    judge,
+    line_blocked,
+    met,
+    plan_trial,
+    risk_of,
+)
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import PlanConfig
+from scenegen.truth import distance_field
+from scenegen.worlds.kinds.pillar import Pillar
+
+SEED = 72
+RECIPE = replace(preset("pillar"), flight=replace(preset("pillar").flight, viewpoints=1))
+KIND = cast(Pillar, RECIPE.world)
+METHODS = ("extrude",)
+CAREFUL, EDGES = PlanConfig(planner="careful"), PlanConfig(edge_check=True)
+HEAT = np.geomspace(1e-3, 5.0, 100)
+"""Sharpness of the likelihood while a chain is annealed, one after the other."""
+ROUNDING = 3
+"""Voxels by which our rays may differ from the library's: a return on a voxel's face."""
+PROPOSERS, WORLDS = 16, 64
+"""Worlds in which paths are planned, and in which they are tried."""
+BINS = np.linspace(0, 1, 21)
+
+
+class Options(scoring.Options):
+    """How many maps and worlds."""
+
+    root: Positional[Path] = Path("ceiling")
+    maps: int = 60
+    trials: int = 16
+    """goals of each map, whose straight line is blocked"""
+    network: tuple[str, ...] = ("anywhere", "columns")
+    worlds: int = 512
+    """kept of each chain"""
+    steps: int = 2000
+    """between two of them"""
+    annealed: int = 12
+    """maps for which a second chain begins elsewhere"""
+    heating: int = 20_000
+    """steps at each sharpness"""
+    part: tuple[int, int] = (0, 1)
+    """of so many parts, sample this one"""
+    sample_only: bool = False
+
+
+def main() -> None:
+    """Sample what is missing, then write the tables."""
+    given = measuring.parse(
+        Options, maps=2, trials=1, network=("columns",), worlds=4, steps=50, annealed=1, heating=5
+    )
+    data = given.root / "data"
+    dataset = Dataset(data) if data.exists() else drawn(data, RECIPE, given.maps, seed=SEED)
+    split = dataset.split("test")
+    for number in range(given.part[0], given.maps, given.part[1]):
+        for kind in ("truth", "elsewhere")[: 2 if number < given.annealed else 1]:
+            file = given.root / f"{kind}-{number:03}.npz"
+            if not file.exists():
+                begin = time.process_time()
+                kept = sampled(split[number], number, kind, given)
+                part = file.with_suffix(".part")
+                with part.open("wb") as stream:
+                    np.savez_compressed(stream, **kept, seconds=time.process_time() - begin)
+                part.rename(file)
+                print(f"{file.name}: {time.process_time() - begin:.0f} s", file=sys.stderr)
+    if not given.sample_only:
+        publish(given, [*mixing(split, given), *scores(split, given)])
+
+
+def true_chain(sample: Sample, number: int) -> Chain:
+    """A chain that begins with a sample's own world; what it sees is what our rays see."""
+    prior = prior_of(KIND, RECIPE.flight.robot_radius_m)
+    looked = looked_of(sample)
+    for attempt in range(RECIPE.accept.max_draws):
+        numbers = numbers_of(KIND, UnitKey(SEED, "test", number).rng(WORLD, attempt))
+        chain = Chain(looked, prior, numbers, number)
+        if chain.wrong <= ROUNDING:
+            if not np.array_equal(chain.occupancy(), sample.occupancy):
+                raise RuntimeError(f"map {number}: the prior draws another world than the recipe")
+            return Chain(replace(looked, state=chain.state()), prior, numbers, number)
+    raise RuntimeError(f"map {number}: no draw of the prior is its world")
+
+
+def looked_of(sample: Sample) -> Looked:
+    """What the scan of a sample made known."""
+    pose = Pose(sample.position, sample.quaternion)
+    marked = sample.observed, sample.free
+    return Looked.of(pose, RECIPE.lidar, RECIPE.grid, sample.origin, *marked)
+
+
+def sampled(sample: Sample, number: int, begin: str, given: Options) -> dict[str, Any]:
+    """Worlds that look the same as a sample's. A world is kept as its section: all pillars are
+    equally high."""
+    chain = true_chain(sample, number)
+    if begin == "elsewhere":
+        other = numbers_of(KIND, np.random.default_rng([SEED, number]))
+        chain = Chain(chain.looked, chain.prior, other, number + given.maps)
+        for sharpness in HEAT:
+            chain.walk(given.heating, sharpness)
+        for _ in range(20):
+            if chain.wrong:
+                chain.walk(given.heating)
+    sections, counts = [], []
+    for _ in range(given.worlds):
+        chain.walk(given.steps)
+        sections.append(np.packbits(chain.occupancy().any(axis=2)))
+        counts.append(chain.count)
+    moves = dict(zip(MOVES, chain.taken / np.maximum(chain.tried, 1), strict=True))
+    kept = {f"taken_{name}": share for name, share in moves.items()}
+    return kept | {"sections": sections, "counts": counts, "wrong": chain.wrong}
+
+
+def sections_of(given: Options, number: int, kind: str = "truth") -> Mask:
+    """The kept worlds of a map, (worlds, X, Y)."""
+    with np.load(given.root / f"{kind}-{number:03}.npz") as kept:
+        nx, ny, _ = RECIPE.grid.shape
+        return np.unpackbits(kept["sections"], axis=1).astype(bool).reshape(-1, nx, ny)
+
+
+def unknown_in(sample: Sample) -> Mask:
+    """The voxels of which the scan says nothing, (*grid.shape)."""
+    return np.asarray(~(sample.observed | sample.free))
+
+
+def section_of(sample: Sample) -> Mask:
+    """The section of a sample's pillars, (X, Y)."""
+    return np.asarray(sample.occupancy.any(axis=2))
+
+
+def solid_layers(origin: Floats) -> Mask:
+    """The layers of the map in which pillars are, (Z,)."""
+    low = origin[2] + RECIPE.grid.voxel_m * np.arange(RECIPE.grid.shape[2])
+    return (low + RECIPE.grid.voxel_m > 0) & (low < KIND.height_m[0])
+
+
+def hidden_cells(sections: Mask, unknown: Mask) -> Floats:
+    """Occupied cells of the section of which the scan knows nothing, (worlds,)."""
+    return (sections & unknown).sum(axis=(1, 2)).astype(float)
+
+
+def mixing(split: Split, given: Options) -> list[str]:
+    """How far chains go, whether both kinds of chains agree, and where the truth ranks."""
+    ranks, correlations, taken, agreement = [], [], [], []
+    for number in range(given.maps):
+        sample = split[number]
+        unknown = np.asarray(unknown_in(sample).all(axis=2))
+        cells = hidden_cells(sections_of(given, number), unknown)
+        true = hidden_cells(section_of(sample)[None], unknown)[0]
+        rng = np.random.default_rng(number)
+        ranks.append(np.mean(cells < true) + rng.random() * np.mean(cells == true))
+        correlations.append(autocorrelation(cells))
+        with np.load(given.root / f"truth-{number:03}.npz") as kept:
+            taken.append([float(kept[f"taken_{name}"]) for name in MOVES])
+        if number < given.annealed:
+            with np.load(given.root / f"elsewhere-{number:03}.npz") as kept:
+                wrong = int(kept["wrong"])
+            other = sections_of(given, number, "elsewhere")
+            difference = np.abs(other.mean(axis=0) - sections_of(given, number).mean(axis=0))
+            cells_there = hidden_cells(other, unknown)
+            agreement.append(
+                [wrong, difference.mean(), difference.max(), cells_there.mean() - cells.mean()]
+            )
+    quarters = np.histogram(ranks, bins=4, range=(0, 1))[0]
+    rows = [
+        (f"accepted: {name}", [f"{share:.3f}"])
+        for name, share in zip(MOVES, np.mean(taken, axis=0), strict=True)
+    ]
+    rows += [
+        (
+            "autocorrelation time of hidden cells, worlds kept",
+            [told(correlations, range(len(ranks)), ".2f")],
+        ),
+        ("rank of the truth's hidden cells, mean", [told(ranks, range(len(ranks)), ".3f")]),
+        ("ranks by quarter", [" · ".join(map(str, quarters))]),
+    ]
+    lines = titled("## Mixing", ["value"], rows)
+    heads = "wrong voxels", "mean difference", "greatest difference", "hidden cells, difference"
+    rows = [
+        (str(number), [f"{wrong:.0f}", f"{mean:.4f}", f"{most:.3f}", f"{cells:+.1f}"])
+        for number, (wrong, mean, most, cells) in enumerate(agreement)
+    ]
+    return lines + titled("## Chains that begin elsewhere", heads, rows)
+
+
+def autocorrelation(values: Floats) -> float:
+    """The integrated autocorrelation time of a series, by Geyer's initial positive sequence."""
+    centred = values - values.mean()
+    if not centred.any():
+        return 1.0
+    n = len(values)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
+    covariance = np.fft.irfft(spectrum)[:n] / centred.dot(centred)
+    pairs = covariance[: n // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = int(np.argmax(pairs < 0)) if (pairs < 0).any() else len(pairs)
+    return float(max(2 * pairs[:stop].sum() - 1, 1.0))
+
+
+def ceiling(sample: Sample, sections: Mask) -> Prediction:
+    """The best that can be said: the mean of sampled worlds, and of their distances."""
+    layers, n = solid_layers(sample.origin), len(sections)
+    chance = (sections.sum(axis=0) + 0.5) / (n + 1)
+    probability = np.where(layers, chance[..., None], 0.5 / (n + 1)).astype(np.float32)
+    fields = [distance_field(world(one, layers), RECIPE.grid) for one in some(sections)]
+    return Prediction(probability, np.mean(fields, axis=0, dtype=np.float32))
+
+
+def some(sections: Mask) -> Mask:
+    """Of the worlds of a map, as many as are planned in, spread evenly."""
+    return sections[np.linspace(0, len(sections) - 1, min(WORLDS, len(sections))).astype(int)]
+
+
+def world(section: Mask, layers: Mask) -> Mask:
+    """The occupied voxels of a world, (*grid.shape)."""
+    return section[..., None] & layers
+
+
+def scores(split: Split, given: Options) -> list[str]:
+    """Tables of reconstruction and of planning."""
+    methods = rows_of(METHODS, given.network)
+    names = ["ceiling", *(one.name for one in methods)]
+    levels = np.arange(1, 100) / 100
+    ious, near, doubt, bins, plans = [], [], [], [], []
+    for number in range(given.maps):
+        sample, sections = split[number], sections_of(given, number)
+        guesses = dict(zip(names, [ceiling(sample, sections)], strict=False))
+        guesses |= {one.name: one.completion(sample, split) for one in methods}
+        unknown, true = unknown_in(sample), sample.occupancy
+        ious.append([iou_by_level(level_of(one), true, levels) for one in guesses.values()])
+        if not number % 2:
+            continue
+        close = sample.tudf < 0.5
+        near.append(
+            [
+                rmse(one.distance(None, RECIPE.grid)[close], sample.tudf[close])
+                for one in guesses.values()
+            ]
+        )
+        chances = [chance_of(one)[unknown] for one in guesses.values()]
+        doubt.append([likelihood(one, true[unknown]) for one in chances])
+        bins.append([binned(one, true[unknown]) for one in chances])
+        plans += planned(sample, number, sections, guesses, given)
+    chosen = np.mean(ious[::2], axis=0).argmax(axis=1)
+    reached = np.array([[of[n] for of, n in zip(one, chosen, strict=True)] for one in ious[1::2]])
+    maps = range(len(reached))
+    figures = {
+        "IoU": reached,
+        "Near-RMSE, m": np.array(near),
+        "NLL, unknown voxels": np.array(doubt),
+    }
+    rows = [(what, [told(one, maps, ".4f") for one in of.T]) for what, of in figures.items()]
+    rows += [("ECE, unknown voxels", [f"{error(one):.4f}" for one in np.sum(bins, axis=0)])]
+    less = [
+        (what, [told(one - of.T[0], maps, "+.4f") for one in of.T]) for what, of in figures.items()
+    ]
+    return (
+        titled("## Completion", names, rows)
+        + titled("## Completion, less the ceiling", names, less)
+        + planning(plans)
+    )
+
+
+def level_of(guess: Prediction) -> Any:
+    """What thresholds are compared with."""
+    level = guess.occupancy_probability
+    return 1 - guess.distance(None, RECIPE.grid) / 2 if level is None else level
+
+
+def chance_of(guess: Prediction) -> Any:
+    """The probability, calibrated if it can be."""
+    return level_of(guess) if guess.probability is None else guess.probability
+
+
+def iou_by_level(level: Any, true: Mask, levels: Floats) -> Floats:
+    """IoU at each threshold, (levels,)."""
+    edges = np.concatenate([[-np.inf], levels, [np.inf]])
+    inside = np.histogram(level[true], edges)[0][::-1].cumsum()[::-1][1:]
+    every = np.histogram(level, edges)[0][::-1].cumsum()[::-1][1:]
+    return np.asarray(inside / np.maximum(every + true.sum() - inside, 1))
+
+
+def rmse(said: Any, true: Any) -> float:
+    """The root of the mean squared error."""
+    return float(np.sqrt(np.mean((said - true) ** 2)))
+
+
+def likelihood(chance: Floats, true: Mask) -> float:
+    """The mean negative log-likelihood."""
+    sure = np.clip(np.where(true, chance, 1 - chance), 1e-7, 1)
+    return float(-np.log(sure).mean())
+
+
+def binned(chance: Floats, true: Mask) -> Floats:
+    """Voxels, sums of probabilities and occupied voxels, by bin of probability, (3, bins)."""
+    return np.array(
+        [np.histogram(chance, BINS, weights=of)[0] for of in (None, chance, 1.0 * true)]
+    )
+
+
+def error(sums: Floats) -> float:
+    """The expected calibration error of `binned` sums."""
+    count, said, true = sums
+    return float(np.abs(said - true).sum() / count.sum())
+
+
+def planned(
+    sample: Sample, number: int, sections: Mask, guesses: dict[str, Prediction], given: Options
+) -> list[tuple[int, dict[str, Measurement]]]:
+    """Trials of a map whose straight line is blocked: what becomes of each planner's path."""
+    grid, truth = RECIPE.grid, (sample.occupancy, sample.tudf)
+    layers = solid_layers(sample.origin)
+    worlds = [world(one, layers) for one in some(sections)]
+    fields = [distance_field(one, grid) for one in worlds[:PROPOSERS]]
+    box = np.array([[0, 0, 0], KIND.size_m]) - sample.origin
+    rng = np.random.default_rng([SEED, number])
+    drawn_goals = draw_trials(sample.occupancy, grid, EDGES, count=400, rng=rng, bounds=box).goals
+    goals = [one for one in drawn_goals if line_blocked(sample.occupancy, one, grid, EDGES)]
+    chance, found = level_of(guesses["ceiling"]).reshape(-1), []
+    for goal in goals[: given.trials]:
+        ended: dict[str, Measurement] = {}
+        for name, guess in (
+            guesses | {"truth": Prediction(sample.occupancy * 1.0, sample.tudf)}
+        ).items():
+            level = level_of(guess)
+            occupied = level > CAREFUL.careful_probability
+            risk = risk_of(guess, occupied, sample.observed | sample.free, CAREFUL)
+            planned_path = plan_trial(
+                occupied, guess.distance(None, grid), risk, goal, grid, CAREFUL
+            )
+            ended[name] = judge(*planned_path, *truth, grid)
+            if name == "ceiling":
+                ways = [planned_path]
+        ways += [
+            plan_trial(one, field, None, goal, grid, EDGES)
+            for one, field in zip(worlds[:PROPOSERS], fields, strict=True)
+        ]
+        found_ways = [(plan, path) for plan, path in ways if path is not None]
+        if found_ways:
+            voxels = [met(path, grid) for _, path in found_ways]
+            blocked = [
+                np.mean([one.reshape(-1)[cells].any() for one in worlds]) for cells in voxels
+            ]
+            apart = [1 - np.prod(1 - chance[cells]) for cells in voxels]
+            ended["joint"] = judge(*found_ways[int(np.argmin(blocked))], *truth, grid)
+            ended["marginal"] = judge(*found_ways[int(np.argmin(apart))], *truth, grid)
+        found.append((number, ended))
+    return found
+
+
+def planning(plans: list[tuple[int, dict[str, Measurement]]]) -> list[str]:
+    """Success and hits of each planner, and of `joint` less `marginal`; intervals over maps."""
+    groups = [number for number, _ in plans]
+    names = ["joint", "marginal", *(one for one in plans[0][1] if one not in ("joint", "marginal"))]
+    none = Measurement(success=False)
+    figures = {
+        "success": [[float(one.get(name, none).success) for _, one in plans] for name in names],
+        "hits": [[float(bool(one.get(name, none).hits)) for _, one in plans] for name in names],
+    }
+    rows = [(what, [told(one, groups, ".3f") for one in of]) for what, of in figures.items()]
+    rows += [
+        (f"{what}, less marginal", [told(np.subtract(one, of[1]), groups, "+.3f") for one in of])
+        for what, of in figures.items()
+    ]
+    return titled(f"## Planning, {len(plans)} trials whose straight line is blocked", names, rows)
+
+
+if __name__ == "__main__":
+    main()
