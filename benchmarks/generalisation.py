@@ -32,7 +32,7 @@ from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
 from scenegen.model.bench.statistics import brief, summarise
 from scenegen.model.config import PlanConfig
 from scenegen.model.tables import markdown
-from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.kinds import training_kinds
 
 BUNDLED = "columns"
 FILE = "generalisation.json"
@@ -54,7 +54,7 @@ TITLES = {
 class Options(measuring.Options):
     """What is held out, and how much is measured."""
 
-    held: Sequence[str] = kind_names()
+    held: Sequence[str] = training_kinds()
     """kinds to hold out"""
     stream: str = "{}"
     """what a kind is learned from: itself, or a recipe at this path, with {} for the kind"""
@@ -80,7 +80,7 @@ def main() -> None:
         return write_csv(given.out)
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
-        kinds = ("maze", "pillar") if given.smoke else kind_names()
+        kinds = ("maze", "pillar") if given.smoke else training_kinds()
         asked = dict.fromkeys([*kinds, *given.held])
         tests = {kind: drawn(folder / kind, preset(kind), given.tests, val=VAL) for kind in asked}
         tests |= real_places(given.real, folder, min(given.tests, POSES))
@@ -154,10 +154,10 @@ def write_csv(out: Path) -> None:
 def tables(rows: dict[str, Any]) -> list[str]:
     """For each figure, by kind: networks that saw the kind, the one that did not, and others; then
     the matrix, a line for each method and a column for each kind and place, held out kinds bold."""
-    networks = [f"without {kind}" for kind in kind_names()]
+    networks = [f"without {kind}" for kind in training_kinds()]
     shown = [row for row in (*networks, BUNDLED, "extrude", "truth") if row in rows]
     tested = dict.fromkeys(place for row in shown for place in rows[row])
-    kinds = [kind for kind in kind_names() if kind in tested]
+    kinds = [kind for kind in training_kinds() if kind in tested]
     places = [place for place in tested if place not in kinds]
     lines = []
     for name, title in TITLES.items():

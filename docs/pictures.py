@@ -1,8 +1,9 @@
 """Draw the pictures of docs/worlds.md: a world of each kind with its flight.
 
-python docs/pictures.py          needs `pip install pyvista`; writes docs/pictures/*.png
+python docs/pictures.py [KIND…]  needs `pip install pyvista`; writes docs/pictures/*.png
 """
 
+import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ OUT = Path(__file__).parent / "pictures"
 def main() -> None:
     """Draw everything."""
     OUT.mkdir(exist_ok=True)
-    for kind in kind_names():
+    for kind in sys.argv[1:] or kind_names():
         recipe = preset(kind)
         unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=1)
         draw_world(unit, recipe, OUT / f"{kind}.png")

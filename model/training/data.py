@@ -27,6 +27,7 @@ from scenegen.model.network import Batch
 from scenegen.model.targets import BUILT_IN, channels_of, target_called, true_map
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
+from scenegen.worlds.kinds import find_kind, kind_names
 from scenegen.worlds.mapping import Mapper, Sensing
 
 LOADERS = 8
@@ -79,9 +80,19 @@ class SplitSamples:
         dataset: One dataset, or several of one collection.
         split: Name of the split.
         weight: See `Samples`.
+
+    Raises:
+        DatasetError: if worlds of the dataset are of a kind for testing alone.
     """
 
     def __init__(self, dataset: AnyDataset, split: str, weight: Any = None):
+        for part in dataset.datasets:
+            kind = part.manifest.kind
+            if kind in kind_names() and not find_kind(kind).for_training:
+                raise DatasetError(
+                    f"{dataset.name}: holds worlds of kind {kind}, which is for testing alone; "
+                    "train on other kinds"
+                )
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, dataset.name
         self.kind, self.digest = dataset.kind, dataset.digest

@@ -83,7 +83,8 @@ def part_options(function: Any) -> Any:
 @click.option(
     "--kind",
     type=KIND,
-    help=f"Kind of random worlds: {', '.join(KINDS.builtin)}; mixed for all; or MODULE:CLASS.",
+    help=f"Kind of random worlds: {', '.join(KINDS.builtin)}; mixed for all that methods may "
+    "train on; or MODULE:CLASS.",
 )
 @difficulty_option
 @click.option(

@@ -84,8 +84,10 @@ def plan_dataset(
 
     Raises:
         DatasetError: if the engine is not available, or a number exceeds a limit of readers.
+        RecipeError: if worlds for testing alone are to be in another split.
     """
     find_engine(engine)
+    recipe.check_splits(split for split, count in counts.items() if count)
     seed = check_int("--seed", seed, 0, MAX_SEED)
     shard_samples = check_int("--shard-samples", shard_samples, 1, MAX_SAMPLES_IN_SHARD)
     scenes = source.describe()

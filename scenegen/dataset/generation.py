@@ -274,6 +274,9 @@ def plan_generation(
             report(line)
         single_world = sum(map(len, source.scenes.values())) == 1
         source = source.moving(base_recipe, seed)
+    if base_recipe.world is not None and not base_recipe.world.for_training:
+        # by default, as many test samples as beside 2500 for training, and no others
+        number, val, test = n or 0, val or 0, number // 5 if test is None else test
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)

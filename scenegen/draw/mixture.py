@@ -13,7 +13,7 @@ from scenegen.base.errors import RecipeError, printable
 from scenegen.base.files import Json
 from scenegen.base.limits import MAX_SOURCES, MAX_WEIGHT
 from scenegen.draw.sample import rng_of
-from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.kinds import training_kinds
 from scenegen.worlds.recipe import Recipe, make_recipe
 from scenegen.worlds.tables import combinations, read_toml
 
@@ -38,7 +38,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **settings: Any)
             common to all. A table ``[domain.TABLE]`` lists several values of parameters: the
             component is split into one for each combination, which share its weight. For intervals,
             ``[domain] draws`` is the number of draws of each combination. Without a file, or
-            without components, every kind of scenegen has the same weight.
+            without components, every kind of scenegen for training has the same weight.
         seed: Seed of values that are drawn from intervals.
         settings: Settings common to all components, as for `scenegen.preset`.
 
@@ -49,7 +49,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **settings: Any)
     if path is not None:
         common, where, folder = read_toml(path), printable(path), path.parent
     kind = common.pop("kind", MIXED)
-    all_kinds = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
+    all_kinds = [{"kind": name} for name in (training_kinds() if kind == MIXED else [kind])]
     listed = common.pop("component", all_kinds)
     if not isinstance(listed, list) or not 0 < len(listed) <= MAX_SOURCES:
         raise RecipeError(

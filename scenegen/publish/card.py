@@ -37,6 +37,10 @@ KINDS = {
     "industrial": "machine halls with pipes, tanks, catwalks and scaffolds",
     "maze": "mazes in three dimensions with windows to fly through",
     "clutter": "clouds of shapes of all sizes",
+    "parking": "multi-storey car parks with ramps, cars, walls and gates",
+    "orchard": "orchards with trees on trellises, wires and blocked aisles",
+    "scaffold": "façades in tube scaffolding with planks, nets and rooms behind",
+    "rubble": "collapsed buildings with leaning slabs, broken columns and heaps",
     "scene": "worlds given as files",
 }
 FORMATS = {

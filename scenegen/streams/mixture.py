@@ -189,8 +189,8 @@ class Component(Units):
     """One source of samples: all that its samples depend on except their number. Samples have no
     `tudf`.
 
-    Raises DatasetError if there is no such split or engine, and SceneError if the split has no
-    worlds.
+    Raises DatasetError if there is no such split or engine, RecipeError if the worlds are for
+    testing alone and the split is another, and SceneError if the split has no worlds.
     """
 
     label: str
@@ -202,6 +202,7 @@ class Component(Units):
                 f"stream: has no split {short_repr(self.split)}; expected one of "
                 f"{', '.join(SPLITS)}"
             )
+        self.recipe.check_splits([self.split])
         # a missing engine fails here, and not in a worker
         find_engine(self.engine)
         if isinstance(self.source, SceneWorlds) and not self.source.scenes[self.split]:

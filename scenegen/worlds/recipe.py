@@ -3,7 +3,7 @@ TOML."""
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -168,6 +168,22 @@ class Recipe:
         if traffic.firing_times and any(isinstance(stage, Motion) for stage in self.noise.stages):
             raise ValueError(
                 "[movers] firing_times: do not go with the noise motion; leave one of the two out"
+            )
+
+    def check_splits(self, splits: Iterable[str]) -> None:
+        """Check that the kind's worlds may be in these splits.
+
+        Args:
+            splits: Names of splits.
+
+        Raises:
+            RecipeError: If the kind is for testing alone, and a split is another than "test".
+        """
+        alone = self.world is not None and not self.world.for_training
+        if alone and (others := set(splits) - {"test"}):
+            raise RecipeError(
+                f"kind {self.kind} is for testing alone, and has no {' or '.join(sorted(others))} "
+                'split; draw samples of its test split (--test, or split="test")'
             )
 
     def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:

@@ -37,6 +37,12 @@ def kind_names() -> tuple[str, ...]:
     return tuple(KINDS.builtin)
 
 
+def training_kinds() -> tuple[str, ...]:
+    """Return the names of built-in kinds that methods may train on, sorted; others are for testing
+    alone."""
+    return tuple(name for name in kind_names() if find_kind(name).for_training)
+
+
 def graded(kind: str, difficulty: str) -> str:
     """Name a preset beside its kind's others: "maze", or "maze-hard".
 

@@ -41,6 +41,10 @@ class WorldKind(ABC):
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.worlds.recipe.Acceptance`."""
 
+    for_training: ClassVar[bool] = True
+    """Whether methods may train on these worlds. If not, the kind has a test split only, and
+    `mixed` leaves it out, so that no network has seen its worlds."""
+
     movers: ClassVar[tuple[str, ...]] = ("person", "drone")
     """Kinds of movers that belong in these worlds, see `scenegen.worlds.traffic.KINDS`."""
 

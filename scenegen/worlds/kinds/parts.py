@@ -137,6 +137,31 @@ class Parts:
         """
         self.rod(of_class, start, end, radius, CAPSULE)
 
+    def slab(
+        self, of_class: str, start: Point, end: Point, width: float, thick: float, roll: float = 0.0
+    ) -> None:
+        """Add a box that rises from one point to another: a ramp, or a slab that leans.
+
+        Args:
+            of_class: Its class.
+            start: Middle of one end face, metres.
+            end: Middle of the other; not straight above the first.
+            width: Its width, metres.
+            thick: Its thickness.
+            roll: Turn about its length: the tangent of half the angle.
+        """
+        x, y, z = (b - a for a, b in zip(start, end, strict=True))
+        level = float(np.sqrt(x * x + y * y))
+        length = float(np.sqrt(x * x + y * y + z * z))
+        # half-angle formulas: first the turn about the vertical, then the rise, then the roll
+        c, s = _half(x / level, y / level)
+        cp, sp = _half(level / length, z / length)
+        w, i, j, k = c * cp, s * sp, -c * sp, s * cp
+        norm = float(np.sqrt(1 + roll * roll))
+        quat = [part / norm for part in (w - i * roll, i + w * roll, j + k * roll, k - j * roll)]
+        middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
+        self.solid(of_class, BOX, (length / 2, width / 2, thick / 2), middle, quat)
+
     def ball(
         self, of_class: str, centre: Point, radii: Point, quat: Sequence[float] = UPRIGHT
     ) -> None:
@@ -186,6 +211,30 @@ class Parts:
                 np.where(np.abs(values) < 1e-9, 0.0, values) for values in map(np.array, numbers)
             )
             spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
+
+
+def _half(cosine: float, sine: float) -> tuple[float, float]:
+    """Compute cosine and sine of half an angle between -pi and pi."""
+    # rounding may lead beyond 1
+    half = float(np.sqrt(max(1 - cosine, 0.0) / 2))
+    return float(np.sqrt(max(1 + cosine, 0.0) / 2)), half if sine >= 0 else -half
+
+
+def car(parts: Parts, *, rng: Generator) -> None:
+    """Add a car along x: body, cabin and wheels.
+
+    Args:
+        parts: A frame with its middle at the origin.
+        rng: Decides its size.
+    """
+    long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
+    body, shift = 0.55 * high, rng.uniform(-0.3, 0.3)
+    parts.box("vehicle", (-long / 2, -wide / 2, 0.22), (long / 2, wide / 2, body))
+    cabin = (shift - 0.27 * long, -0.45 * wide, body), (shift + 0.27 * long, 0.45 * wide, high)
+    parts.box("vehicle", *cabin)
+    for x in (-0.32 * long, 0.32 * long):
+        for y in (-wide / 2, wide / 2 - 0.2):
+            parts.rod("tyre", (x, y, 0.31), (x, y + 0.2, 0.31), 0.31)
 
 
 def join(homes: dict[Any, Any], first: Any, second: Any) -> bool:

@@ -11,7 +11,7 @@ from lidarsim.grid import Floats
 from lidarsim.solids import BOX
 from scenegen.worlds.drawing import Drawing
 from scenegen.worlds.kinds.kind import Classed, Range, Size
-from scenegen.worlds.kinds.parts import Parts, Point, scattered
+from scenegen.worlds.kinds.parts import Parts, Point, car, scattered
 
 STOREY_M = 3.2
 # the second side is the first one turned by half a turn
@@ -124,7 +124,7 @@ class Street(Classed):
             # parking spaces along the kerb
             for x in np.arange(0.5, x_m - 5.0, 6.2).tolist():
                 if rng.random() < self.car_share:
-                    _car(frame.at(x + 2.5, road / 2 - 1.1), rng=rng)
+                    car(frame.at(x + 2.5, road / 2 - 1.1), rng=rng)
         parts.add_to(spec)
 
     def _houses(self, parts: Parts, front: float, *, rng: Generator) -> None:
@@ -269,15 +269,3 @@ def _cable(parts: Parts, start: Point, end: Point) -> None:
     x, y, z = ((a + b) / 2 for a, b in zip(start, end, strict=True))
     parts.limb("cable", start, (x, y, z - 0.3), 0.025)
     parts.limb("cable", (x, y, z - 0.3), end, 0.025)
-
-
-def _car(parts: Parts, *, rng: Generator) -> None:
-    """Add a car along x: body, cabin and wheels."""
-    long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
-    body, shift = 0.55 * high, rng.uniform(-0.3, 0.3)
-    parts.box("vehicle", (-long / 2, -wide / 2, 0.22), (long / 2, wide / 2, body))
-    cabin = (shift - 0.27 * long, -0.45 * wide, body), (shift + 0.27 * long, 0.45 * wide, high)
-    parts.box("vehicle", *cabin)
-    for x in (-0.32 * long, 0.32 * long):
-        for y in (-wide / 2, wide / 2 - 0.2):
-            parts.rod("tyre", (x, y, 0.31), (x, y + 0.2, 0.31), 0.31)

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from lidarsim import Lidar
+from scenegen import generate
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.selection import Choice, choose, encode_selection
 from scenegen.model.api import train
@@ -78,6 +79,12 @@ def test_datasets_that_do_not_fit_are_refused(folders, tmp_path):
     for name, sources in cases.items():
         refuses(name, maps_of, sources)
     refuses("train", train, cases["selection"])
+
+
+def test_worlds_for_testing_alone_are_refused(tmp_path):
+    held = generate("parking", test=5, out=tmp_path / "parking")
+    assert len(held.split("test")) == 5
+    refuses("parking", train, [held.name])
 
 
 def test_sensors_and_mappings_may_differ(folders, tmp_path):

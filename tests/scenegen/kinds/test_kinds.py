@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import scenegen
+from scenegen.dataset.generation import plan_generation
+from scenegen.draw.mixture import read_components
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.classes import CLASSES
-from scenegen.worlds.kinds import find_kind, kind_names
+from scenegen.worlds.kinds import find_kind, kind_names, training_kinds
 from scenegen.worlds.kinds.geometric import Geometric
 from scenegen.worlds.kinds.pillar import Pillar
 from scenegen.worlds.labels import class_names, classes_of, labels_by
@@ -71,6 +74,18 @@ def test_solids_are_within_what_the_kind_says(kind):
         place = np.array([solid.position for solid in solids])
         assert (place >= [-3.0, -3.0, -1.0]).all()
         assert (place <= np.add(kind().size_m, (3.0, 3.0, 8.0))).all()
+
+
+def test_kinds_for_testing_alone_have_a_test_split_only(tmp_path):
+    alone = sorted(set(kind_names()) - set(training_kinds()))
+    assert alone == ["orchard", "parking", "rubble", "scaffold"]
+    assert {recipe.kind for recipe, _ in read_components()} == set(training_kinds())
+    for split in ("train", "val"):
+        refuses(split, scenegen.stream, "parking", split=split)
+    refuses("generate", plan_generation, "parking", 10, out=tmp_path)
+    for kind in alone:
+        [plan] = plan_generation(kind, out=tmp_path).datasets
+        assert plan.manifest.counts == {"train": 0, "val": 0, "test": 500}
 
 
 def kind_of(name, parameters):
