@@ -1,5 +1,6 @@
 """Flights as a Gymnasium environment."""
 
+import functools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ from scenegen.worlds.tables import check_name, field_names, from_table
 
 NAME = "scenegen/Fly-v0"
 MAX_PERIODS = 10
+MAX_WORLDS = 4096
 OPTIONS = tuple(sorted(field_names(Course) - {"world", "seed", "flights", "document"}))
 """Fields of a course that are options of the environment; it sets the others itself."""
 RESET_OPTIONS = ("seed", "world", "difficulty")
@@ -35,7 +37,8 @@ class Flight(gymnasium.Env[Observation, Command]):
     world, m/s, and a yaw rate, rad/s, (4,), flown for a tenth of a second; or those of several
     `periods`, (periods, 4), flown one after the other before the next observation. The reward is
     the decrease of the distance to the goal, metres, plus 10 at the goal and minus 10 at a
-    collision or beyond the bounds. Each episode draws a new world, or for a file, a new mission.
+    collision or beyond the bounds. Each episode draws a new world, or for a file, a new mission;
+    with `worlds`, it takes one of so many.
 
     The environment can be copied and pickled; a copy continues exactly like the original.
     """
@@ -46,6 +49,7 @@ class Flight(gymnasium.Env[Observation, Command]):
         self,
         world: str | Path = "pillar",
         *,
+        worlds: int = 0,
         periods: int = 1,
         render_mode: None = None,
         **options: Any,
@@ -54,6 +58,10 @@ class Flight(gymnasium.Env[Observation, Command]):
 
         Args:
             world: A kind of worlds, or a file: see `scenegen.fly.course.Course`.
+            worlds: Number of worlds that episodes choose from: those of the seeds below it, each
+                with one mission. They are drawn once and kept, for all environments of the process
+                that are alike. 0: each episode draws a new world, which takes as long as some
+                hundred steps.
             periods: Commands of an action, 1 to 10.
             render_mode: None: there are no pictures.
             options: Further fields of a `Course`, except `seed` and `flights`: `reset` has the
@@ -70,8 +78,9 @@ class Flight(gymnasium.Env[Observation, Command]):
             )
         with reraise_as(FlightError, of=DatasetError):
             periods = check_int(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
+            self._worlds = check_int(f"{NAME}: worlds =", worlds, 0, MAX_WORLDS)
         for name in options:
-            check_name(name, ("world", "periods", *OPTIONS), "option", NAME)
+            check_name(name, ("world", "worlds", "periods", *OPTIONS), "option", NAME)
         world = str(world) if isinstance(world, Path) else world
         table = {"world": world, "seed": 0, "flights": 1} | options
         self._course: Course = from_table(Course, table, NAME, Path())
@@ -84,6 +93,11 @@ class Flight(gymnasium.Env[Observation, Command]):
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
         # by a real simulation, so that a wrong world or sensor is refused here, not in `reset`
         self.observation_space = _space(self._course.simulation(0))
+        boxes: Any = self.observation_space
+        # all elements of an array have the same limits
+        self._limits = {
+            name: (box.low.flat[0], box.high.flat[0]) for name, box in boxes.spaces.items()
+        }
         self._flying: Simulation | None = None
 
     def reset(
@@ -107,10 +121,12 @@ class Flight(gymnasium.Env[Observation, Command]):
         where = f"{NAME}: reset: options"
         if options is not None and not isinstance(options, Mapping):
             raise FlightError(f"{where} = {short_repr(options)}: expected a dictionary")
-        table = {"seed": int(self.np_random.integers(2**31))} | dict(options or {})
+        table = {"seed": int(self.np_random.integers(self._worlds or 2**31))} | dict(options or {})
         for name in table:
             check_name(name, RESET_OPTIONS, "option", where)
         course: Course = from_table(self._course, table, where, Path())
+        if course.seed < self._worlds:
+            course = _kept(course)
         self._flying = course.simulation(0)
         return self._observed(), {"seed": course.seed, "about": self._flying.about()}
 
@@ -157,11 +173,15 @@ class Flight(gymnasium.Env[Observation, Command]):
     def _observed(self) -> Observation:
         """Return the observation, clipped to its space: inf becomes the maximum range."""
         assert self._flying is not None
-        boxes: Any = self.observation_space
-        return {
-            name: np.clip(value, boxes[name].low, boxes[name].high)
-            for name, value in self._flying.observe().items()
-        }
+        seen = self._flying.observe()
+        return {name: np.clip(value, *self._limits[name]) for name, value in seen.items()}
+
+
+@functools.lru_cache(maxsize=MAX_WORLDS)
+def _kept(course: Course) -> Course:
+    """Return the first course like this one, which holds its world and mission once they are
+    drawn."""
+    return course
 
 
 def _space(simulation: Simulation) -> spaces.Dict:

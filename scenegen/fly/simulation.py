@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Pose, Sensor
-from lidarsim.grid import Floats, Vector
+from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import chained, rotate
@@ -130,7 +130,7 @@ class Simulation:
         self.most_s = self.rules.patience * mission.shortest_m / self.vehicle.speed_mps
         self.outcome: Outcome | None = None
         self.states: list[Floats] = [self.state[None]]
-        self.clearances_m = [self._free(mission.start, 0.0)]
+        self.clearances_m = self._free(self.state[None, POSITION], np.zeros(1))
         self._digest: Any = hashlib.sha256()
         self._seen, self._turning = b"", 0.0
         by_mujoco = self.vehicle.dynamics == "mujoco"
@@ -280,8 +280,12 @@ class Simulation:
         self._turning = float(self._commands[self._late_periods][3])
         position: Any = tuple(self.state[POSITION].tolist())
         free, flown, now_s = self.clearances_m[-1], len(states), self.time_s
-        for number, at in enumerate(states[:, POSITION], start=1):
-            next_position = tuple(at.tolist())
+        positions = states[:, POSITION]
+        times_s = now_s + np.arange(1.0, flown + 1.0) * STEP_S
+        clearances_m = self._free(positions, times_s)
+        beyond = ((positions < low) | (positions > high)).any(axis=1).tolist()
+        for number, at in enumerate(positions.tolist(), start=1):
+            next_position = tuple(at)
             if math.dist(
                 position, next_position
             ) >= free - radius and not self._clearance.motion_is_free(
@@ -292,12 +296,12 @@ class Simulation:
                 position, next_position, (now_s, now_s + STEP_S), radius
             ):
                 self.outcome = "struck"
-            elif ((at < low) | (at > high)).any():
+            elif beyond[number - 1]:
                 self.outcome = "left"
             elif math.dist(next_position, self.mission.goal) <= self.rules.reach_m:
                 self.outcome = "success"
             now_s = self.time_s + number * STEP_S
-            position, free = next_position, self._free(next_position, now_s)
+            position, free = next_position, clearances_m[number - 1]
             self.clearances_m.append(free)
             if self.outcome is not None:
                 flown = number
@@ -331,12 +335,13 @@ class Simulation:
                 state = parts[-1][-1]
         return np.concatenate(parts)
 
-    def _free(self, point: Vector, time_s: float) -> float:
-        """Distance of a point from the nearest solid or mover, metres, at most `CAP_M`."""
-        free = self._clearance.at(*point)
+    def _free(self, points: Floats, times_s: Floats) -> list[float]:
+        """Distances of points (n, 3) from the nearest solid, or mover at their times (n,), metres,
+        at most `CAP_M`."""
+        free = self._clearance.at_all(points)
         if self._movers is not None:
-            free = min(free, float(self._movers.at(np.array([point]), np.array([time_s]))[0]))
-        return free
+            free = np.minimum(free, self._movers.at(points, times_s))
+        return list(free.tolist())
 
     def _left_m(self) -> float:
         return math.dist(self.state[POSITION], self.mission.goal)

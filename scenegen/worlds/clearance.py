@@ -81,6 +81,19 @@ class Clearance:
         """
         return float(_clearance(x, y, z, CAP_M, 0.0, self._arguments))
 
+    def at_all(self, points: Floats) -> Floats:
+        """Compute the distances of points from the nearest solid, see `at`.
+
+        Args:
+            points: (n, 3), metres.
+
+        Returns:
+            (n,) metres.
+        """
+        nearest = np.empty(len(points))
+        _clearances(points, nearest, self._arguments)
+        return nearest
+
     def motion_is_free(self, p: Vector, q: Vector, radius_m: float) -> bool:
         """Test whether a ball moved along a straight line stays clear of every solid.
 
@@ -236,6 +249,14 @@ def _clearance(x, y, z, cap_m, enough_m, arguments):
     if len(arguments) == 4:
         return _from_voxels(x, y, z, cap_m, enough_m, *arguments)
     return _from_solids(x, y, z, *arguments)
+
+
+@kernel
+def _clearances(points, nearest, arguments):
+    """Fill in the `_clearance` of each point."""
+    for n in range(len(points)):
+        x, y, z = points[n]
+        nearest[n] = _clearance(x, y, z, CAP_M, 0.0, arguments)
 
 
 @kernel

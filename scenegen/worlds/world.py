@@ -87,7 +87,7 @@ class World:
         """
         return self.flight_bounds
 
-    @property
+    @cached_property
     def albedo(self) -> Floats:
         """The share of light that every geom reflects, (ngeom,), and every solid of movers."""
         solids = 0 if self.movers is None else len(self.movers.owner)

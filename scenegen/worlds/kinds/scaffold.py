@@ -27,7 +27,7 @@ class Scaffold(Classed):
     graded = {
         "easy": {
             "lane_m": (7.0, 10.0),
-            "bay_m": (2.4, 3.0),
+            "bay_m": (2.6, 3.2),
             "plank_share": 0.3,
             "closed_share": 0.05,
             "bridge_share": 0.1,
@@ -36,7 +36,7 @@ class Scaffold(Classed):
         "hard": {
             "lane_m": (3.5, 4.5),
             "bay_m": (1.6, 2.0),
-            "plank_share": 0.85,
+            "plank_share": 0.75,
             "closed_share": 0.35,
             "bridge_share": 0.55,
             "brace_share": 0.45,
@@ -53,16 +53,16 @@ class Scaffold(Classed):
     """Whether there is ground."""
     lane_m: Range = (4.5, 7.0)
     """Width of the lane between the scaffolds, metres; one value a world."""
-    bay_m: Range = (1.9, 2.6)
+    bay_m: Range = (2.1, 2.8)
     """Width of a bay along the façade, metres; one value a world. Source: 1.5 to 3.0 m (EN
     12811)."""
-    deep_m: Range = (1.0, 1.5)
+    deep_m: Range = (1.1, 1.5)
     """Depth of a bay, metres; one value a world. Source: classes of width W09 to W15 (EN 12811)."""
-    plank_share: float = 0.65
+    plank_share: float = 0.5
     """Share of bays with planks, at each lift."""
-    closed_share: float = 0.25
+    closed_share: float = 0.18
     """Share of the bays' outer sides that have a net or boards."""
-    bridge_share: float = 0.35
+    bridge_share: float = 0.3
     """Share of bays along the lane where the scaffold crosses it."""
     brace_share: float = 0.3
     """Share of the bays' sides with a diagonal."""

@@ -19,7 +19,7 @@ from scenegen.dataset.collection import COLLECTION, open_data
 from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
-from scenegen.worlds.kinds import kind_names
+from scenegen.worlds.kinds import training_kinds
 from tests.command_line import beside
 from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
 from tests.refusals import refuses
@@ -176,7 +176,7 @@ def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(tmp_path):
 
 def test_without_components_every_kind_has_the_same_weight():
     plans = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class").datasets
-    assert [plan.folder.name for plan in plans] == list(kind_names())
+    assert [plan.folder.name for plan in plans] == list(training_kinds())
     assert [plan.samples for plan in plans] == [100 / len(plans)] * len(plans)
 
 

@@ -7,14 +7,17 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import scenegen
 from scenegen.dataset.generation import plan_generation
 from scenegen.draw.mixture import read_components
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.classes import CLASSES
+from scenegen.worlds.drawing import Drawing
 from scenegen.worlds.kinds import find_kind, kind_names, training_kinds
 from scenegen.worlds.kinds.geometric import Geometric
+from scenegen.worlds.kinds.parts import Parts
 from scenegen.worlds.kinds.pillar import Pillar
 from scenegen.worlds.labels import class_names, classes_of, labels_by
 from scenegen.worlds.recipe import make_recipe, preset
@@ -64,6 +67,24 @@ def test_the_harder_a_world_the_less_is_seen(name, count):
         ranges = np.array([sample.ranges for unit in units for sample in unit.samples])
         visible.append(np.minimum(ranges, recipe.lidar.max_range_m).mean())
     assert visible[0] > visible[1] > visible[2]
+
+
+@pytest.mark.parametrize("end", [(4, 3, 1), (-4, 2, 2.5), (1, -7, -3), (-1e-9, -2, 0)])
+def test_a_slab_reaches_from_one_point_to_another(end):
+    """Its width is level without a roll, and turned by it about its length."""
+    spec, parts = Drawing(np.array([[0.0, 0, 0], [1, 1, 1]])), Parts()
+    for roll in (0.0, 0.5):
+        parts.slab("wall", (1, 2, 3), end, 2.0, 0.2, roll)
+    parts.add_to(spec)
+    along = np.subtract(end, (1, 2, 3))
+    axes = [Rotation.from_quat(g.quat, scalar_first=True).as_matrix() for g in spec.geoms]
+    for geom, turn in zip(spec.geoms, axes, strict=True):
+        assert_allclose(geom.pos, np.add(end, (1, 2, 3)) / 2)
+        assert_allclose(2 * geom.size[0] * turn[:, 0], along, atol=1e-12)
+        assert_allclose(geom.size[1:], [1.0, 0.1])
+    assert abs(axes[0][2, 1]) < 1e-12
+    assert axes[0][2, 2] > 0
+    assert_allclose(axes[0][:, 1] @ axes[1][:, 1], np.cos(2 * np.arctan(0.5)))
 
 
 @KINDS
