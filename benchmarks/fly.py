@@ -28,6 +28,7 @@ from lidarsim.grid import Floats
 from scenegen.base.workers import ALONE
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
+from scenegen.fly.motion import STEP_S
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
@@ -36,16 +37,25 @@ from scenegen.worlds.kinds import kind_names
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
-LATENCY_S = dict.fromkeys(
-    (
-        *("reactive", "truth", "optimistic", "optimistic, brakes", "extrude", "extrude, brakes"),
-        *("returns", "sampling", "sampling, brakes", "columns", "columns, brakes"),
-        *("anywhere", "anywhere, brakes", "anywhere, brakes at 0.5"),
-    ),
-    0.0,
-)
+LATENCY_S = {
+    "reactive": 1 * STEP_S,
+    "truth": 1 * STEP_S,
+    "optimistic": 1 * STEP_S,
+    "optimistic, brakes": 1 * STEP_S,
+    "extrude": 1 * STEP_S,
+    "extrude, brakes": 1 * STEP_S,
+    "returns": 1 * STEP_S,
+    "sampling": 2 * STEP_S,
+    "sampling, brakes": 1 * STEP_S,
+    "columns": 4 * STEP_S,
+    "columns, brakes": 3 * STEP_S,
+    "anywhere": 4 * STEP_S,
+    "anywhere, brakes": 3 * STEP_S,
+    "anywhere, brakes at 0.5": 3 * STEP_S,
+}
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
-benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512)."""
+benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch. `anywhere`
+with brakes was not: it has the figure of `columns`, the same network with other weights."""
 Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
 EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
