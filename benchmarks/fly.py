@@ -55,7 +55,7 @@ LATENCY_S = {
 }
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
 benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch. `anywhere`
-with brakes was not: it has the figure of `columns`, the same network with other weights."""
+with doubt was not: it has the figure of that with brakes."""
 Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
 EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
