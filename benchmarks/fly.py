@@ -7,7 +7,9 @@
 ENTRIES is a folder with an entry of each robot, as `scenegen fly suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
 robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the last scan
-alone. Decisions are timed in this process alone.
+alone, and as `sampling:NETWORK`, the robot plans by RRT*. A name may end in ", brakes", or in
+", brakes at 0.5" (the doubt). Decisions are timed in this process alone. With --charged, each
+robot's decisions come as late as they took when they were measured.
 """
 
 import tempfile
@@ -26,14 +28,34 @@ from lidarsim.grid import Floats
 from scenegen.base.workers import ALONE
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
+from scenegen.fly.motion import STEP_S
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.robots import FORGETFUL, NAMES
+from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.kinds import kind_names
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
+LATENCY_S = {
+    "reactive": 1 * STEP_S,
+    "truth": 1 * STEP_S,
+    "optimistic": 1 * STEP_S,
+    "optimistic, brakes": 1 * STEP_S,
+    "extrude": 1 * STEP_S,
+    "extrude, brakes": 1 * STEP_S,
+    "returns": 1 * STEP_S,
+    "sampling": 2 * STEP_S,
+    "sampling, brakes": 1 * STEP_S,
+    "columns": 4 * STEP_S,
+    "columns, brakes": 3 * STEP_S,
+    "anywhere": 4 * STEP_S,
+    "anywhere, brakes": 3 * STEP_S,
+    "anywhere, brakes at 0.5": 3 * STEP_S,
+}
+"""What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
+benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch. `anywhere`
+with doubt was not: it has the figure of that with brakes."""
 Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
 EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
@@ -70,6 +92,8 @@ class Options(measuring.Options):
     robots: Sequence[str] = ROBOTS
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """of the vehicle"""
+    charged: bool = False
+    """decisions come late by `LATENCY_S`; these are not flights of the suite"""
     figures: Path | None = None
 
 
@@ -84,7 +108,8 @@ def main() -> None:
         ]
         found: Found = {}
         for name in given.robots:
-            found |= flown(name, courses, given.entries or Path(spare))
+            own = [charged(one, name) for one in courses] if given.charged else courses
+            found |= flown(name, own, given.entries or Path(spare))
     of_each = [course for course in courses for _ in range(course.flights)]
     worlds = [course.sha256 for course in of_each]
     lines = robots(found, worlds)
@@ -93,25 +118,33 @@ def main() -> None:
     publish(given, [*lines, *by_groups(found, of_each), *how_hard(found, courses)])
 
 
-def parts(name: str) -> tuple[str, str | None, str]:
-    """The robot and the network that a name of --robots stands for, and what this robot is called
-    in tables and in the name of its entry."""
-    if name in NAMES:
-        return name, None, name
-    network = name.removeprefix(f"{FORGETFUL}:")
+def charged(course: Course, robot: str) -> Course:
+    """A course on which decisions come as late as the robot's took."""
+    latency_s = LATENCY_S[parts(robot)[2]]
+    return replace(course, rules=replace(course.rules, latency_s=latency_s))
+
+
+def parts(name: str) -> tuple[str, str | None, str, float | None]:
+    """The robot and the network that a name of --robots stands for; what this robot is called in
+    tables and in the name of its entry; and how it brakes."""
+    plain, brakes = split_robot_name(name)
+    if plain in NAMES:
+        return plain, None, name, brakes
+    robot = next((one for one in WITH_NETWORK if plain.startswith(f"{one}:")), "optimistic")
+    network = plain.removeprefix(f"{robot}:")
     title = Path(network).stem
-    if network == name:
-        return "optimistic", network, title
-    return FORGETFUL, network, f"{title}, last scan"
+    if robot in WITH_NETWORK:
+        title += f", {WITH_NETWORK[robot]}"
+    return robot, network, robot_name(title, brakes), brakes
 
 
 def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
     """The figures of a robot's flights through all courses; those that its entry holds are not
     flown."""
-    robot, weights, title = parts(name)
+    robot, weights, title, brakes = parts(name)
     entries.mkdir(parents=True, exist_ok=True)
     entry = entries / f"{title}.json"
-    work = partial(fly_course, robot=robot, weights=weights)
+    work = partial(fly_course, robot=robot, weights=weights, brakes=brakes)
     crew = crew_of(ALONE)
     done = fly_courses(courses, work, name, "aerial-1", entry, crew)
     flights = [one for _, several in done for one in several]

@@ -4,6 +4,12 @@ from scenegen.model.config import PlanConfig
 
 FORGETFUL = "returns"
 """Name of the robot that uses only the last scan."""
+SAMPLING = "sampling"
+"""Name of the robot that plans by RRT*."""
+WITH_NETWORK = {FORGETFUL: "last scan", SAMPLING: "RRT*"}
+"""Robots that can fly by a network, too, and the end of their name then."""
+COMPLETES_EVERY = 10
+"""At how many decisions a network completes the map once; see `MappingRobot`."""
 FORESEEING = "foreseeing"
 """Name of the robot that knows where movers are and will be."""
 MAPPING = (
@@ -11,6 +17,7 @@ MAPPING = (
     "optimistic",
     "pessimistic",
     "extrude",
+    SAMPLING,
     "forgetting",
     "predicting",
     "truth",

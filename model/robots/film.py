@@ -21,7 +21,7 @@ from scenegen.fly.loop import Flown
 from scenegen.fly.motion import POSITION, VELOCITY
 from scenegen.fly.simulation import HITS, Observation, Simulation
 from scenegen.model.config import split_own
-from scenegen.model.robots import FORGETFUL, NAMES, split_robot_name
+from scenegen.model.robots import NAMES, WITH_NETWORK, split_robot_name
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
 from scenegen.view.look import Guess, Look, Route, field_of_view
@@ -227,7 +227,9 @@ def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
         return robot_maker(name, None, brakes) if name in NAMES else None
     from scenegen.model.completion.completer import HUB, locate  # imports torch
 
-    weights, last_scan, _ = name.partition(", last scan")
+    ends = {robot: f", {end}" for robot, end in WITH_NETWORK.items()}
+    robot = next((robot for robot, end in ends.items() if name.endswith(end)), "")
+    weights = name.removesuffix(ends.get(robot, ""))
     # neither a download nor code of a user's own
     if weights.startswith(HUB) or split_own(weights)[0]:
         return None
@@ -235,5 +237,4 @@ def _known_robot(recording: Recording) -> Callable[[Course], Any] | None:
         is_same = file_sha256(locate(weights)) == recording.network
     except ScenegenError:
         return None
-    robot = FORGETFUL if last_scan else ""
     return robot_maker(robot, weights, brakes) if is_same else None

@@ -35,9 +35,17 @@ from scenegen.fly.suite import (
     track_of,
 )
 from scenegen.model.completion.protocol import Conservative, Extrude, Returns
-from scenegen.model.robots import FORESEEING, FORGETFUL, NAMES, REACTIVE
+from scenegen.model.robots import (
+    COMPLETES_EVERY,
+    FORESEEING,
+    FORGETFUL,
+    NAMES,
+    REACTIVE,
+    SAMPLING,
+)
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
+from scenegen.model.robots.sampling import SamplingRobot
 from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.worlds.world import AnyWorld, World
 
@@ -55,7 +63,7 @@ def robot_maker(
     Args:
         name: One of `NAMES`, or a user's own robot, which runs in a process of its own.
         weights: A network by which a robot that maps completes: the map of all scans, or of the
-            last scan if `name` is "returns".
+            last scan if `name` is "returns". It plans by RRT* if `name` is "sampling".
         brakes: If given, a robot that maps brakes for what it has not seen, see `MappingRobot`.
 
     Returns:
@@ -65,14 +73,21 @@ def robot_maker(
         from scenegen.model.completion.completer import opened_once
 
         network = opened_once(weights, "cpu", 1)
-        memory = name != FORGETFUL
-        return lambda course: MappingRobot(network, memory=memory, doubts=True, brakes=brakes)
+        kind = SamplingRobot if name == SAMPLING else MappingRobot
+        return lambda course: kind(
+            network,
+            memory=name != FORGETFUL,
+            doubts=True,
+            brakes=brakes,
+            every=COMPLETES_EVERY,
+        )
     known = {
         # occupied where the last scan, or any scan, returned; unknown voxels are free
         FORGETFUL: lambda course: MappingRobot(Returns(), memory=False, brakes=brakes),
         "optimistic": lambda course: MappingRobot(Returns(), brakes=brakes),
         # unknown voxels are occupied
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True, brakes=brakes),
+        SAMPLING: lambda course: SamplingRobot(Returns(), brakes=brakes),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True, brakes=brakes),
         # movers are expected to stay, or to go on
         "forgetting": lambda course: TrackingRobot(predicts=False, brakes=brakes),
@@ -127,6 +142,10 @@ def fly_course(
     """
     real = real_course(course, hidden)
     pilot = robot_maker(robot, weights, brakes)(real)
+    if isinstance(pilot, MappingRobot):
+        # kernels are compiled or loaded now, and not in a decision, which is timed
+        pilot.reset(real.simulation(0).about())
+        pilot.rehearse()
     try:
         flown = [fly_mission(real.simulation(n), pilot) for n in range(real.flights)]
     finally:

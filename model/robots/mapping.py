@@ -17,7 +17,7 @@ from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 from scenegen.model.bench.planner import field_at, refine
 from scenegen.model.bench.trials import RATHER, risk_of
-from scenegen.model.completion.protocol import Returns, complete_seen, forget
+from scenegen.model.completion.protocol import Prediction, Returns, complete_seen, forget
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.inputs import SeenMap
 from scenegen.model.robots.steering import follow, lag_s, no_way
@@ -71,6 +71,9 @@ class MappingRobot:
         brakes: If given, it is never faster than it can stop before the first voxel of its path
             that no ray has crossed or returned from, and that is occupied with at least this
             probability. 0 for all of them.
+        every: With memory, it completes at one of so many decisions. Sooner if its path does not
+            hold any more, or if the window has moved by more than `RIM`. Between, observations are
+            added to the last prediction.
     """
 
     def __init__(
@@ -81,7 +84,10 @@ class MappingRobot:
         frontier: bool = False,
         doubts: bool = False,
         brakes: float | None = None,
+        every: int = 1,
     ):
+        # without memory, the prediction is of one scan, too
+        self._every = every if memory else 1
         self._completer, self._memory, self._frontier = completer, memory, frontier
         self._doubts, self._brakes = doubts, brakes
         self.grid: GridSpec = getattr(completer, "grid", GridSpec())
@@ -99,6 +105,8 @@ class MappingRobot:
         self._fence, self._low = within(about["bounds"], self.grid)
         """The voxels in which ways are planned, and the first of them."""
         self._forget()
+        self._age = self._every
+        """Decisions since it completed."""
         window = np.array(self.grid.shape)
         self._least = self._low - window // 2 - 2
         self._known = np.zeros((2, *(window + self._fence.shape + 4)), bool)
@@ -142,6 +150,10 @@ class MappingRobot:
         # a path that still holds is flown on: a new one at every decision could swing to and fro
         path = self._remaining(observation)
         if path is None:
+            # a robot that had no path stands still, and sees little that is new
+            if self.path is not None and self._age:
+                self._age = self._every
+                self._believe()
             path = self._plan(observation, self._distance)
             # a prediction that closes every way may be wrong; observations are not
             if path is None and self._doubts:
@@ -214,8 +226,8 @@ class MappingRobot:
             max_range_m=float(self._about["max_range_m"]),
         )
 
-    def believed(self) -> tuple[Mask, Field]:
-        """Return the occupied voxels and the risk of all voxels of the window, (*grid.shape)."""
+    def _complete(self) -> None:
+        """Predict the window."""
         seen = SeenMap(
             observed=self.observed,
             free=self.free,
@@ -225,9 +237,22 @@ class MappingRobot:
             lidar=self._rays(...),
         )
         prediction = complete_seen(self._completer, seen, grid=self.grid, rng=self._rng)
-        at = Thresholds(probability=PLAN.careful_probability)
+        occupied = prediction.occupied(Thresholds(probability=PLAN.careful_probability))
+        chance = prediction.occupancy_probability
+        chance = np.zeros(occupied.shape, np.float32) if chance is None else chance
+        # wide enough for the window until it has moved too far
+        self._occupied, self._chance = np.pad(occupied, RIM), np.pad(chance, RIM)
+        self._completed, self._age = self._corner, 0
+
+    def believed(self) -> tuple[Mask, Field]:
+        """Return the occupied voxels and the risk of all voxels of the window, (*grid.shape)."""
+        self._age += 1
+        if self._age >= self._every or abs(self._corner - self._completed).max() > RIM:
+            self._complete()
+        window = _box(self._corner - self._completed + RIM, self.grid.shape)
         # what a ray crossed is free, whatever is predicted
-        occupied = self.observed | (prediction.occupied(at) & ~self.free)
+        occupied = self.observed | (self._occupied[window] & ~self.free)
+        prediction = Prediction(occupancy_probability=self._chance[window])
         return occupied, risk_of(prediction, occupied, self.observed | self.free, PLAN)
 
     def _believe(self) -> None:
@@ -290,23 +315,39 @@ class MappingRobot:
             blocked = distance < radius + spare
             # the search needs a free goal, and to be within `reach_m` of it is enough
             blocked[tuple(first + step * node)] = False
-            begin, weight = ends[0] // step, PLAN.risk_weight
+            begin = ends[0] // step
             if self._frontier:
                 node = _nearest(blocked[tuple(slice(at, None, step) for at in first)], begin, node)
                 goal = self._start + (first + step * node + 0.5) * voxel_m
                 if (node == begin).all():
                     continue
-            nodes = search(blocked, first, shape, step, begin, node, True, self._risk, weight)
-            if len(nodes):
+            rough = self._searched(blocked, first, shape, begin, node)
+            if len(rough):
                 break
         else:
             return None
-        rough = (first + step * nodes + 0.5) * voxel_m
         path = refine(rough, distance, self._fence, PLAN) if len(rough) > 2 else rough
         # refining must not lead into voxels that the search avoided
         met = self._voxels(_halved(path)[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
         return np.concatenate([[position, start], path[1:], goal[None]])
+
+    def _searched(self, blocked: Mask, first: Ints, shape: Ints, begin: Ints, node: Ints) -> Floats:
+        """Search a path on a lattice of every `PLAN.step_voxels`-th voxel of the fence.
+
+        Args:
+            blocked: Voxels to avoid (*fence).
+            first: Voxel (3,) of the first node.
+            shape: Nodes (3,) along each axis.
+            begin: The path's first node (3,).
+            node: Its last one (3,).
+
+        Returns:
+            Points (n, 3), metres from the fence's least corner; (0, 3) without a path.
+        """
+        step, weight = PLAN.step_voxels, PLAN.risk_weight
+        nodes = search(blocked, first, shape, step, begin, node, True, self._risk, weight)
+        return np.asarray((first + step * nodes + 0.5) * self.grid.voxel_m)
 
 
 def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:

@@ -38,11 +38,11 @@ from scenegen.cli.types import FILE, Choice, Named, Number, OutputFile
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.robots import (
     BRAKING,
-    FORGETFUL,
     LEAST_DOUBT,
     MAPPING,
     NAMES,
     REACTIVE,
+    WITH_NETWORK,
     robot_name,
 )
 from scenegen.worlds.traffic import PRESETS as TRAFFIC
@@ -68,7 +68,8 @@ robot_options = together(
     click.option(
         "--weights",
         type=Weights(),
-        help="Network that completes the robot's map, or with --robot returns the last scan.",
+        help="Network that completes the robot's map, or with --robot returns the last scan; with "
+        "--robot sampling, it plans by RRT*.",
     ),
     click.option(
         "--brakes",
@@ -338,10 +339,10 @@ def _begin(
             f"--brakes: {robot} has no map of what it has seen; expected --weights, or --robot "
             f"{', '.join(BRAKING)}"
         )
-    if weights is not None and was_given("robot") and robot != FORGETFUL:
+    if weights is not None and was_given("robot") and robot not in WITH_NETWORK:
         raise click.UsageError(
             "--weights chooses the robot; leave out --robot, or give --robot returns, which "
-            "completes only the last scan"
+            "completes only the last scan, or --robot sampling, which plans by RRT*"
         )
     if log is not None:
         check_free(log)
@@ -350,7 +351,7 @@ def _begin(
         announce_compilation()
     name, network = robot, ""
     if weights is not None:
-        name = f"{weights}, last scan" if robot == FORGETFUL else weights
+        name = f"{weights}, {WITH_NETWORK[robot]}" if robot in WITH_NETWORK else weights
         network = file_sha256(locate(weights))
     name = robot_name(name, brakes)
     work = partial(fly_course, robot=robot, weights=weights, brakes=brakes, hidden=hidden)

@@ -17,7 +17,7 @@ from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
-from scenegen.model.completion.protocol import Conservative, Returns
+from scenegen.model.completion.protocol import Conservative, Prediction, Returns
 from scenegen.model.robots import NAMES, flights, mapping
 from scenegen.model.robots.film import ENDS, looks_of_flight, looks_of_recording
 from scenegen.model.robots.flights import ANEW, robot_maker
@@ -111,6 +111,50 @@ def test_who_knows_the_truth_hits_nothing(monkeypatch):
     assert len(robot.path) > 9
 
 
+class Knowing:
+    """Predicts the world as it is."""
+
+    def __init__(self, world):
+        self.world, self.asked = world, 0
+
+    def complete(self, observed, free, *, grid, seen):
+        self.asked += 1
+        truth = self.world.truth(grid, seen.origin)["occupancy"]
+        return Prediction(occupancy_probability=truth.astype(np.float32))
+
+
+def test_predictions_stay_where_they_are_between_completions():
+    flying = Course(world="pillar", flights=1, seed=2).simulation(0)
+    always, seldom = Knowing(flying.world), Knowing(flying.world)
+    robots = [
+        ready(MappingRobot(always), flying),
+        ready(MappingRobot(seldom, every=10), flying),
+    ]
+    for _ in range(20):
+        observation = flying.observe()
+        for robot in robots:
+            robot.act(observation)
+        assert robots[0].taken().tobytes() == robots[1].taken().tobytes()
+        flying.step(np.float32([1.5, 1.0, 0.2, 0.0]))
+    assert always.asked == 20
+    assert 2 <= seldom.asked <= 8
+
+
+def test_a_path_that_fails_is_planned_on_a_new_prediction(monkeypatch):
+    flying = Course(world="pillar", flights=1, seed=2).simulation(0)
+    network, planned = Knowing(flying.world), []
+    robot = ready(MappingRobot(network, every=10, doubts=True), flying)
+    observation = flying.observe()
+    way = np.stack([flying.state[:3], flying.state[:3] + 0.5, observation["goal"]])
+    monkeypatch.setattr(robot, "_plan", lambda *_: planned.append(network.asked) or way)
+    robot.act(observation)
+    robot.act(observation)
+    assert (network.asked, planned) == (1, [1])
+    robot._least_m = 99.0  # which no path keeps
+    robot.act(observation)
+    assert (network.asked, planned) == (2, [1, 2])
+
+
 class Fickle:
     """Every half a second, takes all that was not seen for free, or for occupied."""
 
@@ -131,6 +175,13 @@ def test_robots_keep_their_way_when_beliefs_change():
     assert fickle.outcome == plain.outcome == "success"
     assert fickle.ratio < 1.05
     assert fickle.time_s < 1.3 * plain.time_s
+
+
+def test_sampled_paths_repeat():
+    course = Course(world="pillar", flights=1, seed=2)
+    robot = robot_maker("sampling", None)(course)
+    flights = [fly(course.simulation(0), robot).digest for _ in range(2)]
+    assert flights[0] == flights[1]
 
 
 @pytest.mark.parametrize("mark", [0.0, np.nan])
