@@ -1,14 +1,15 @@
 """Does completing the scene help a robot that moves? Robots fly the suite: docs/results/fly.md.
 
     python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks: fly.csv
-    python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
-    python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.csv
+    python benchmarks/fly.py ENTRIES --every 1 --robots "optimistic, brakes" "my_net.onnx, brakes"
+    python benchmarks/fly.py ENTRIES --every 1 --tracks movers unseen     # fly-movers.csv, …
+    python benchmarks/fly.py ENTRIES --every 1 --tracks places --maps MAPS
 
-ENTRIES is a folder with an entry of each robot, as `scenegen fly suite` writes them; one that is
-there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
-robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the last scan
-alone, and as `sampling:NETWORK`, the robot plans by RRT*. A name may end in ", brakes", or in
-", brakes at 0.5" (the doubt). Decisions are timed in this process alone. With --charged, each
+ENTRIES is a folder with an entry of each track and robot, as `scenegen fly suite` writes them; one
+that is there goes on. Every tenth course of `drawn` is one world of each kind and level. A name
+that is no robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the
+last scan alone, and as `sampling:NETWORK`, the robot plans by RRT*. A name may end in ", brakes",
+or in ", brakes at 0.5" (the doubt). Decisions are timed in this process alone. With --charged, each
 robot's decisions come as late as they took when they were measured.
 """
 
@@ -26,17 +27,22 @@ from tyro.conf import Positional
 
 from lidarsim.grid import Floats
 from scenegen.base.workers import ALONE
+from scenegen.dataset.locate import file_sha256
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.motion import STEP_S
-from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
+from scenegen.fly.simulation import HITS
+from scenegen.fly.suite import KINDS, LEVELS, SUITE, TRAFFIC, UNSEEN, chosen_courses, frozen
+from scenegen.model.completion.completer import locate
 from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 from scenegen.truth.difficulty import Difficulty
-from scenegen.worlds.kinds import kind_names
 
-ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
-BASELINES = ("optimistic", "extrude")
+ROBOTS = (
+    *("truth", "reactive", "optimistic"),
+    *(f"{name}, brakes" for name in ("optimistic", "extrude", "proposed", "columns", "anywhere")),
+)
+BASELINES = ("optimistic, brakes", "extrude, brakes")
 LATENCY_S = {
     "reactive": 1 * STEP_S,
     "truth": 1 * STEP_S,
@@ -64,7 +70,9 @@ DECISION = "decision, ms"
 """Told without an interval: by the clock, beside other work."""
 FIGURES: dict[str, Callable[[Flown], float]] = {
     "success": lambda one: one.outcome == "success",
-    "collision": lambda one: one.outcome == "collision",
+    "success, blocked line": lambda one: one.outcome == "success" if one.blocked else np.nan,
+    "collision": lambda one: one.outcome in HITS,
+    "progress": lambda one: one.progress,
     "score": lambda one: one.score,
     "path ratio": lambda one: one.ratio if one.outcome == "success" else np.nan,
     "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
@@ -72,11 +80,11 @@ FIGURES: dict[str, Callable[[Flown], float]] = {
     "jerk, m/s³": lambda one: one.jerk_mps3,
     DECISION: lambda one: 1e3 * one.step_s,
 }
-OUTCOMES = ("success", "collision")
+OUTCOMES = ("success", "success, blocked line", "collision")
 """Figures that are 1 or 0."""
-GAINS = ("success", "score")
+GAINS = ("success", "progress", "score")
 """Figures of which differences are told."""
-BY_GROUP = ("success", "time, s", "mean clearance, m")
+BY_GROUP = ("success", "score", "progress", "time, s")
 """Figures that are told for every difficulty and kind, too."""
 
 
@@ -87,8 +95,9 @@ class Options(measuring.Options):
     """folder of the entries"""
     every: int = 10
     """one of so many courses"""
+    tracks: Sequence[str] = ("drawn",)
     maps: Path | None = None
-    """folder of the real maps, to fly these"""
+    """folder of the maps of the track places"""
     robots: Sequence[str] = ROBOTS
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """of the vehicle"""
@@ -99,17 +108,23 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them beside the page."""
-    given = measuring.parse(Options, every=300, robots=["reactive", "optimistic"])
-    given.figures = given.figures or RESULTS / ("fly-real.csv" if given.maps else "fly.csv")
+    given = measuring.parse(Options, every=300, robots=["reactive", "optimistic, brakes"])
+    for track in given.tracks:
+        name = "fly.csv" if track == "drawn" else f"fly-{track}.csv"
+        measured(track, replace(given, figures=given.figures or RESULTS / name))
+
+
+def measured(track: str, given: Options) -> None:
+    """Fly what is missing of a track; print its tables, and write them."""
     with tempfile.TemporaryDirectory() as spare:
-        every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
         courses = [
-            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in every
+            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics))
+            for one in chosen_courses(track, given.maps, quick=False)[:: given.every]
         ]
         found: Found = {}
         for name in given.robots:
             own = [charged(one, name) for one in courses] if given.charged else courses
-            found |= flown(name, own, given.entries or Path(spare))
+            found |= flown(name, own, track, given.entries or Path(spare))
     of_each = [course for course in courses for _ in range(course.flights)]
     worlds = [course.sha256 for course in of_each]
     lines = robots(found, worlds)
@@ -138,15 +153,16 @@ def parts(name: str) -> tuple[str, str | None, str, float | None]:
     return robot, network, robot_name(title, brakes), brakes
 
 
-def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
+def flown(name: str, courses: Sequence[Course], track: str, entries: Path) -> Found:
     """The figures of a robot's flights through all courses; those that its entry holds are not
     flown."""
     robot, weights, title, brakes = parts(name)
     entries.mkdir(parents=True, exist_ok=True)
-    entry = entries / f"{title}.json"
+    entry = entries / f"{track}-{title.replace(', ', '-')}.json"
     work = partial(fly_course, robot=robot, weights=weights, brakes=brakes)
+    network = file_sha256(locate(weights)) if weights else ""
     crew = crew_of(ALONE)
-    done = fly_courses(courses, work, name, "aerial-1", entry, crew)
+    done = fly_courses(courses, work, title, SUITE, entry, crew, track=track, network=network)
     flights = [one for _, several in done for one in several]
     print(f"{name}: {len(flights)} flights", flush=True)
     return {title: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}}
@@ -178,11 +194,12 @@ def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
     """Some figures by difficulty and kind, or by map."""
     lines = []
     for title, groups, keys in (
-        ("difficulty", DIFFICULTIES, [course.difficulty for course in courses]),
-        ("kind", kind_names(), [course.world for course in courses]),
-        ("map", MAPS, [Path(course.world).name for course in courses]),
+        ("level", (*LEVELS, *TRAFFIC), [course.level for course in courses]),
+        ("kind", (*KINDS, *UNSEEN), [course.world for course in courses]),
+        ("map", [*frozen()["places"]], [Path(course.world).name for course in courses]),
     ):
-        for what in BY_GROUP if {*groups} & {*keys} else ():
+        groups = [group for group in dict.fromkeys(groups) if group in keys]
+        for what in BY_GROUP if groups else ():
             rows = []
             for name, figures in found.items():
                 of_groups = (figures[what][np.array(keys) == group] for group in groups)
@@ -199,8 +216,8 @@ def how_hard(found: Found, courses: Sequence[Course]) -> list[str]:
     """The figures of difficulty by level, and success in the third of the flights that each figure
     calls easiest, and in the hardest third."""
     grades = [grade for course in courses for grade in course.graded()]
-    level_of = np.array([course.difficulty for course in courses for _ in range(course.flights)])
-    levels = [one for one in (*DIFFICULTIES, None) if one in level_of]
+    level_of = np.array([course.level for course in courses for _ in range(course.flights)])
+    levels = [*dict.fromkeys(level_of.tolist())]
     success = {name: one["success"] for name, one in found.items() if name != "truth"}
     by_level, by_third = [], []
     for name, values in zip(Difficulty._fields, np.transpose(grades), strict=True):

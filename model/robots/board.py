@@ -1,5 +1,6 @@
 """The leaderboard: a page of the entries to a suite."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -27,6 +28,10 @@ ENDS = ("success", "collision", "timeout")
 """Ends of flights of sound robots; others crash, hang or leave the bounds."""
 BOARD = {
     "success": Column(lambda row: row.outcome == "success", scale="outcome"),
+    "success, blocked line": Column(
+        lambda row: row.outcome == "success" if row.blocked else math.nan, scale="outcome"
+    ),
+    "progress": Column(lambda row: row.progress, scale="share"),
     "collision": Column(lambda row: row.outcome == "collision", scale="outcome"),
     "time-out": Column(lambda row: row.outcome == "timeout", scale="outcome"),
     "other end": Column(lambda row: row.outcome not in ENDS, scale="outcome"),

@@ -201,7 +201,7 @@ def looks_of_recording(path: Path, number: int = 0) -> list[Look]:
         DatasetError: There is no such flight, or it differs from its recording.
         ScenegenError: The courses are not in this file or package.
     """
-    recording = open_recording(path, "own", None)[0]
+    recording = open_recording(path, None, None)[0]
     every = [
         (course, flights, n) for course, flights in recording.courses for n in range(len(flights))
     ]

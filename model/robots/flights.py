@@ -14,6 +14,7 @@ import numpy as np
 from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
 from scenegen.base.files import Json, check_ours, write_atomic, write_result
+from scenegen.fly import TRACKS
 from scenegen.fly.course import (
     Course,
     Flights,
@@ -32,7 +33,7 @@ from scenegen.fly.suite import (
     is_whole,
     named,
     part_of,
-    track_of,
+    track_name,
 )
 from scenegen.model.completion.protocol import Conservative, Extrude, Returns
 from scenegen.model.robots import (
@@ -254,6 +255,9 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
         part: round(float(np.mean([getattr(flight, part) for flight in flown])), 4)
         for part in RATIOS
     }
+    row["progress"] = round(float(np.mean([flight.progress for flight in flown])), 4)
+    if blocked := [flight.outcome == "success" for flight in flown if flight.blocked]:
+        row["success, blocked line"] = f"{100 * np.mean(blocked):.0f} % of {len(blocked)}"
     # the least of all flights: a mean would hide the one that came too near
     row["min_clearance_m"] = round(min(flight.min_clearance_m for flight in flown), 4)
     row["most_step_s"] = round(max(flight.most_step_s for flight in flown), 4)
@@ -346,11 +350,10 @@ def _recorded(
         check_ours(out)
         return {}
     earlier = read_recording(out)
-    entry = replace(entry, track=entry.track or track_of(earlier))
-    if (earlier.robot, earlier.suite, track_of(earlier)) != (entry.robot, entry.suite, entry.track):
+    if (earlier.robot, earlier.suite, earlier.track) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
             f"{out}: is of robot {earlier.robot}, suite {earlier.suite} and track "
-            f"{track_of(earlier)[:14]}; give another name"
+            f"{earlier.track[:14]}; give another name"
         )
     if earlier.network and entry.network and earlier.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
@@ -361,12 +364,14 @@ def _recorded(
     return flown
 
 
-def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording, dict[str, str]]:
+def open_recording(
+    path: Path, hidden: int | None, maps: Path | None
+) -> tuple[Recording, dict[str, str]]:
     """Read a recording to fly it again.
 
     Args:
         path: The recording.
-        track: The track that an entry must be to; see `track_name`.
+        hidden: Number of an entry's hidden track, or None.
         maps: The folder of its maps, if it is an entry to their track.
 
     Returns:
@@ -374,22 +379,23 @@ def open_recording(path: Path, track: str, maps: Path | None) -> tuple[Recording
 
     Raises:
         DatasetError: A course is not one of its suite's.
-        ScenegenError: It is not of that track.
+        ScenegenError: It is to another track than `hidden` and `maps` say.
     """
     recording = read_recording(path)
     if recording.suite is None:
-        if track != "own":
+        if hidden is not None or maps:
             raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
         return recording, {}
     with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
         part = part_of(recording)
-    if part.track != track:
+    public = recording.track if recording.track in TRACKS else TRACKS[0]
+    if recording.track != (track := track_name(public, hidden, maps)):
         raise ScenegenError(
             f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; fly "
             "replay takes --hidden and its number, --maps and their folder, or neither"
         )
     # the suite's own courses: a stranger's file could lead to other worlds by the same names
-    frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+    frozen = {named(course): course for course in frozen_courses(track, maps)}
     courses = [
         (replace(frozen[named(course)], document=course.document), flights)
         for course, flights in recording.courses

@@ -35,7 +35,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, Number, OutputFile
-from scenegen.fly import SUITES, Rules, Vehicle
+from scenegen.fly import SUITES, TRACKS, Rules, Vehicle
 from scenegen.model.robots import (
     BRAKING,
     LEAST_DOUBT,
@@ -232,41 +232,41 @@ def world(
 
 @command(
     "fly suite --robot my_robot:Robot -o entry.json",
-    "fly suite --quick --weights columns -o quick.json",
+    "fly suite --track movers --quick --robot predicting --brakes -o quick.json",
 )
 @click.argument("suite", metavar="[SUITE]", type=Choice(SUITES), default=SUITES[0])
 @robot_options
+@click.option(
+    "--track", type=Choice(TRACKS), default=TRACKS[0], help="Which of the suite's courses to fly."
+)
 @click.option("--quick", is_flag=True, help="Every sixteenth course.")
 @track_options(
-    "Fly 50 courses that this number draws, instead of the suite's own.",
-    "Fly 24 courses through the maps of real places in this folder, instead of the suite's own.",
+    "Fly 50 courses that this number draws: the track hidden.",
+    "Fly 56 courses through the maps of real places in this folder: the track places.",
 )
 @out_option("The entry, .json; an unfinished one is continued.")
 @picture_options
 @group("Robot", "robot weights brakes doubt")
-@group("Courses", "quick hidden maps")
-def suite(suite: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any) -> None:
-    """Fly a robot through all courses of a suite: 300 worlds, or with --quick 19.
+@group("Courses", "track quick hidden maps")
+def suite(
+    suite: str, track: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any
+) -> None:
+    """Fly a robot through all courses of a track of a suite.
 
     \f
     Raises:
         UsageError: Options contradict each other.
         ScenegenError: There is no such robot, or a map is missing.
     """
-    from scenegen.fly.suite import chosen_courses
+    from scenegen.fly.suite import chosen_courses, track_name
 
-    track = _track(hidden, maps)
-    courses = chosen_courses(suite, hidden, maps, quick=quick)
+    if was_given("track") + (hidden is not None) + (maps is not None) > 1:
+        raise click.UsageError(
+            "--track, --hidden and --maps choose other courses; give one of them"
+        )
+    track = track_name(track, hidden, maps)
+    courses = chosen_courses(track, maps, quick=quick)
     _fly(courses, suite=suite, hidden=hidden, track=track, **options)
-
-
-def _track(hidden: int | None, maps: Path | None) -> str:
-    """Return the name of the track. Raises UsageError if both are given."""
-    from scenegen.fly.suite import track_name
-
-    if hidden is not None and maps:
-        raise click.UsageError("--hidden and --maps choose other courses; give one of them")
-    return track_name(hidden, maps)
 
 
 def _fly(
@@ -390,10 +390,11 @@ def replay(
     """
     from scenegen.model.robots.flights import ANEW, crew_of, fly_again, fly_anew, open_recording
 
-    track = _track(hidden, maps)
+    if hidden is not None and maps:
+        raise click.UsageError("--hidden and --maps are of other entries; give one of them")
     robot_settings = robot, weights, _braking(brakes, doubt)
     pilot, _, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
-    recording, notes = open_recording(path, track, maps)
+    recording, notes = open_recording(path, hidden, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
     with Progress("replay", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)

@@ -44,7 +44,7 @@ from scenegen.worlds.flight import POINTS, Flight, apart, around, fly, heights, 
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
-from scenegen.worlds.recipe import Acceptance, Recipe, preset
+from scenegen.worlds.recipe import Acceptance, Recipe, make_recipe
 from scenegen.worlds.scene import Reading, Scene, cut, named, read_file
 from scenegen.worlds.traffic import PRESETS
 from scenegen.worlds.world import (
@@ -442,6 +442,7 @@ def named_world(
     difficulty: str | None = None,
     report: Callable[[str], None] | None = None,
     movers: str | None = None,
+    tables: Json | None = None,
 ) -> AnyWorld:
     """Read a world from a file, or draw one of a kind.
 
@@ -451,13 +452,14 @@ def named_world(
         difficulty: "easy", "medium" or "hard".
         report: Called with each note about a file.
         movers: Preset of movers, see `scenegen.worlds.traffic.PRESETS`; a file's own are kept.
+        tables: Values of a kind's recipe that differ from its preset, by table and name.
 
     Raises:
         SceneError: if the file cannot be used, or movers find no room.
         RecipeError: if there is no such kind.
     """
     is_file = Path(name).exists() or (":" not in name and not name.isidentifier())
-    recipe = preset("scene") if is_file else preset(name, difficulty=difficulty)
+    recipe = make_recipe("scene" if is_file else name, tables or {}, difficulty=difficulty)
     world: AnyWorld
     if is_file:
         world = read_world(name, report)

@@ -10,8 +10,10 @@ from typing import Literal
 
 from lidarsim.parameters import Checked, number
 
-SUITES = ("aerial-1",)
+SUITES = ("aerial-2",)
 """Names of the suites, whose courses never change."""
+TRACKS = ("drawn", "unseen", "movers")
+"""Tracks of the suite whose worlds everybody can draw; besides, it has `places` and `hidden`."""
 PERIOD_S = 0.1
 """Time between decisions of the robot, seconds."""
 
@@ -47,6 +49,10 @@ class Rules(Checked):
     spare_m: float = number(0.3, minimum=0, maximum=1)
     """Clearance at start and goal beyond the vehicle's radius, from solids and from the flight
     bounds, metres; from the bounds at most a quarter of their extent."""
+    detour: float = number(1.0, minimum=1, maximum=10)
+    """Minimum length of the shortest way, as a multiple of the distance from start to goal."""
+    berth_m: float = number(0.0, minimum=0, maximum=1)
+    """Clearance of the shortest way beyond the vehicle's radius, metres."""
     reach_m: float = number(0.5, above=0, maximum=10)
     """A flight succeeds within this distance of its goal, metres."""
     patience: float = number(10.0, minimum=1, maximum=1000)

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from lidarsim import Pose, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import Checked, check, number
+from lidarsim.parameters import Checked, check, number, short_repr
 from lidarsim.scan import mounted
 from lidarsim.sensors import RASTER
 from scenegen import __version__
@@ -36,7 +36,7 @@ from scenegen.worlds.place import Place
 from scenegen.worlds.tables import named_lidar, named_noise
 from scenegen.worlds.world import AnyWorld
 
-FORMAT = 1
+FORMAT = 2
 """Version of the format of recordings."""
 
 
@@ -55,6 +55,11 @@ class Course(Checked):
     """Seed of the missions, of the noise, and of the world if `world` is a kind."""
     difficulty: str | None = None
     """Difficulty of the kind's preset; None for the usual one."""
+    level: str = ""
+    """How hard the course is in its suite; "" outside of one."""
+    recipe: str = ""
+    """Tables [world] and [flight] of a kind's recipe, as JSON: values that differ from the preset;
+    "" for none."""
     lidar: str | Sensor = RASTER
     """The sensor's name, its file, or the sensor itself, which a recording cannot hold."""
     noise: str = ""
@@ -83,11 +88,29 @@ class Course(Checked):
         """The noise that `noise` names."""
         return named_noise(self.noise or None, self.sensor)
 
+    @property
+    def tables(self) -> dict[str, Json]:
+        """The tables that `recipe` holds.
+
+        Raises:
+            GenerationError: It is not JSON, or has other tables.
+        """
+        try:
+            tables: Any = json.loads(self.recipe or "{}")
+        except (ValueError, RecursionError):
+            tables = None
+        # [lidar] could name a stranger's module, which would be imported
+        if not isinstance(tables, dict) or not tables.keys() <= {"world", "flight"}:
+            raise GenerationError(
+                f"recipe = {short_repr(self.recipe)}: expected JSON with tables world and flight"
+            )
+        return tables
+
     @cached_property
     def drawn(self) -> AnyWorld:
         """The world that `world` names. Raises GenerationError if its hash is another."""
-        movers = self.movers or None
-        world = named_world(self.world, self.seed, self.difficulty, movers=movers)
+        movers, tables = self.movers or None, self.tables
+        world = named_world(self.world, self.seed, self.difficulty, movers=movers, tables=tables)
         check_document(hashlib.sha256(world.mjcf).hexdigest(), self)
         return world
 
@@ -105,7 +128,8 @@ class Course(Checked):
 
     def graded(self) -> list[Difficulty]:
         """Return the difficulty of each mission."""
-        return graded(self.drawn, self.vehicle.radius_m, self.missions)
+        radius_m = self.vehicle.radius_m + self.rules.berth_m
+        return graded(self.drawn, radius_m, self.missions)
 
     @property
     def sha256(self) -> str:
@@ -160,8 +184,7 @@ class Recording:
     suite: str | None
     """The suite that was flown; None for other courses."""
     track: str = ""
-    """Track of the suite, see `scenegen.fly.suite.track_name`. "" in recordings of earlier
-    versions."""
+    """Track of the suite, see `scenegen.fly.suite.track_name`; "" without a suite."""
     complete: bool = False
     """Whether all courses of the track were flown."""
     courses: Flights

@@ -12,7 +12,8 @@ from lidarsim.grid import Floats
 from lidarsim.parameters import number
 from scenegen.base.errors import ScenegenError
 from scenegen.fly import PERIOD_S
-from scenegen.fly.motion import Command
+from scenegen.fly.missions import progress
+from scenegen.fly.motion import POSITION, Command
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
 
 
@@ -61,6 +62,10 @@ class Flown:
     """Length flown over that of the shortest way."""
     shortest_m: float = number(above=0)
     """Length of the shortest way, metres."""
+    blocked: bool
+    """Whether a solid blocks the straight line from start to goal for the vehicle."""
+    progress: float
+    """Share of the shortest way that was gained when the flight ended; 1 for a success."""
     flown_m: float
     """Length flown, metres."""
     speed_mps: float
@@ -170,10 +175,16 @@ def scored(
     measured, shortest = simulation.measured(), simulation.mission.shortest_m
     time_s, success = simulation.time_s, simulation.outcome == "success"
     best_s = shortest / simulation.vehicle.speed_mps
+    mission, radius_m = simulation.mission, simulation.vehicle.radius_m
+    end: Any = tuple(simulation.state[POSITION].tolist())
     return Flown(
         outcome=simulation.outcome,
         time_s=time_s,
         shortest_m=shortest,
+        blocked=not simulation.world.clearance.motion_is_free(
+            mission.start, mission.goal, radius_m
+        ),
+        progress=1.0 if success else progress(simulation.world, mission, radius_m, end),
         **marks(success, time_s, measured["flown_m"], shortest, best_s),
         step_s=float(np.mean(times)) if times else 0.0,
         most_step_s=max(times, default=0.0),

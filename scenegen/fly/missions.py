@@ -23,10 +23,14 @@ MARGIN = 10
 TRIES = {World: 200, Place: 10_000}
 """Pairs drawn for a mission before a world counts as too narrow; more for a map, which is mostly
 unknown."""
+DETOUR_TRIES = 5
+"""So many times as many where the rules ask for a detour."""
 CALM_S = 1.0
 """For so long no mover comes near the start, seconds."""
 ROOMS = 20
 """Parts of a map that are tried for a mission before the map counts as too narrow."""
+BESIDE = 4
+"""Voxels: so near is the place from which a vehicle goes on that ended where it does not fit."""
 Point = tuple[float, float, float]
 
 
@@ -42,6 +46,11 @@ class Mission:
     """Length of the path by A* through the truth, straightened, metres."""
     bounds: tuple[Point, Point]
     """Lower and upper corner of the box that the vehicle's centre must not leave, metres."""
+
+    @property
+    def straight_m(self) -> float:
+        """Distance from start to goal, metres."""
+        return math.dist(self.start, self.goal)
 
 
 def draw_missions(
@@ -66,21 +75,21 @@ def draw_missions(
         for n in range(ROOMS):
             bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
             if room is None or not np.array_equal(bounds, room.bounds):
-                room = _room(world, bounds, vehicle.radius_m)
+                room = _room(world, bounds, vehicle.radius_m + rules.berth_m)
             elif n:  # a world has one room: trying it again would fail again
                 continue
             apart = min(rules.apart_m, math.dist(*bounds) / 2)
-            # as far apart as the rules say, else half, else a quarter as far
-            tries = (
-                _draw(world, vehicle, rules, apart / part, room, rng=rng) for part in (1, 2, 4)
-            )
+            # as far apart as the rules say, else half, else a quarter as far; not for detours, of
+            # which it takes long to find that there are none
+            parts = (1,) if rules.detour > 1 else (1, 2, 4)
+            tries = (_draw(world, vehicle, rules, apart / part, room, rng=rng) for part in parts)
             if drawn := next(filter(None, tries), None):
                 missions.append(drawn)
                 break
         else:
             raise GenerationError(
-                f"no start and goal {apart / 4:g} m apart with a way between; give a smaller "
-                "--apart or --radius, or another world"
+                f"no start and goal {apart / parts[-1]:g} m apart with a way between; give a "
+                "smaller --apart or --radius, or another world"
             )
     return missions
 
@@ -127,12 +136,44 @@ def _way(blocked: Mask, ends: Ints) -> Ints:
     return nodes
 
 
+def progress(world: AnyWorld, mission: Mission, radius_m: float, end: Point) -> float:
+    """Measure the share of the shortest way to the goal that is gained at a position.
+
+    Args:
+        world: The world.
+        mission: The mission.
+        radius_m: Radius of the vehicle, metres.
+        end: The position, metres in the world. If the vehicle does not fit there, the nearest
+            voxel within `BESIDE` voxels in which it fits counts.
+
+    Returns:
+        From 0 to 1; 0 if no way leads on to the goal.
+    """
+    room = _room(world, np.array(mission.bounds), radius_m)
+    inside = np.clip(end, *room.bounds)
+    start, goal, last = room.grid.index(
+        np.array([mission.start, mission.goal, inside]), room.origin
+    )
+    low = np.maximum(last - BESIDE, 0)
+    near = np.argwhere(~room.blocked[tuple(map(slice, low, last + BESIDE + 1))]) + low
+    if not len(near):
+        return 0.0
+    last = near[((near - last) ** 2).sum(axis=1).argmin()]
+    whole, left = (_way(room.blocked, np.stack([begin, goal])) for begin in (start, last))
+    if not len(left):
+        return 0.0
+    lengths = [
+        float(np.sqrt((np.diff(way, axis=0) ** 2).sum(axis=1)).sum()) for way in (whole, left)
+    ]
+    return min(max(1 - lengths[1] / max(lengths[0], 1.0), 0.0), 1.0)
+
+
 def graded(world: AnyWorld, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
     """Measure how difficult missions are, by the shortest way through voxels of `VOXEL_M`.
 
     Args:
         world: The world.
-        radius_m: Radius of the vehicle, metres.
+        radius_m: Radius of the vehicle and its berth, metres.
         missions: Missions through this world.
 
     Returns:
@@ -145,7 +186,7 @@ def graded(world: AnyWorld, radius_m: float, missions: Sequence[Mission]) -> lis
             room = _room(world, np.array(mission.bounds), radius_m)
         ends = room.grid.index(np.array([mission.start, mission.goal]), room.origin)
         way = _way(room.blocked, ends)
-        tortuosity = mission.shortest_m / math.dist(mission.start, mission.goal)
+        tortuosity = mission.shortest_m / mission.straight_m
         difficulties.append(way_difficulty(way, tortuosity, room.solid, room.tudf, VOXEL_M))
     return difficulties
 
@@ -160,17 +201,22 @@ def _draw(
     rng: np.random.Generator,
 ) -> Mission | None:
     """Draw a start and a goal at least `apart` metres from one another, both clear of obstacles and
-    connected by a way that the vehicle fits through; None if no pair is found."""
+    connected by a way that the vehicle fits through, as long as the rules ask; None if no pair is
+    found."""
     bounds, clearance, spare = room.bounds, world.clearance, vehicle.radius_m + rules.spare_m
+    radius = vehicle.radius_m + rules.berth_m
     movers = world.movers if isinstance(world, World) else None
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
-    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES[type(world)], 2, 3)):
+    tries = TRIES[type(world)] * (DETOUR_TRIES if rules.detour > 1 else 1)
+    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (tries, 2, 3)):
         voxels = room.grid.index(pair, room.origin)
         start, goal = room.origin + (voxels + 0.5) * VOXEL_M
         if (
             math.dist(start, goal) < apart
             or room.blocked[tuple(voxels.T)].any()
             or min(clearance.at(*start), clearance.at(*goal)) < spare
+            # a straight way is no detour: the search, which is slow, would find it
+            or (rules.detour > 1 and clearance.motion_is_free(tuple(start), tuple(goal), radius))
             or (movers is not None and movers.distances_m(start[None], 0.0, CALM_S)[0] < spare)
         ):
             continue
@@ -183,11 +229,13 @@ def _draw(
         while begin < len(path) - 1:
             end = len(path) - 1
             while end > begin + 1 and not clearance.motion_is_free(
-                tuple(path[begin]), tuple(path[end]), vehicle.radius_m
+                tuple(path[begin]), tuple(path[end]), radius
             ):
                 end -= 1
             shortest += math.dist(path[begin], path[end])
             begin = end
+        if shortest < rules.detour * math.dist(start, goal):
+            continue
         ends = [tuple(point.tolist()) for point in (start, goal, *bounds)]
         return Mission(start=ends[0], goal=ends[1], shortest_m=shortest, bounds=(ends[2], ends[3]))
     return None

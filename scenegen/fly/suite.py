@@ -1,30 +1,27 @@
-"""The suite `aerial-1`: courses of three difficulties that never change. Their worlds are drawn on
-the user's machine and checked by hash."""
+"""The suite `aerial-2`: courses in five tracks that never change. Drawn worlds are made on the
+user's machine and checked by hash."""
 
+import functools
 import hashlib
 import json
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from scenegen.base.errors import DatasetError, GenerationError
-from scenegen.fly import SUITES, Rules, Vehicle
+from scenegen.base.files import Json
+from scenegen.fly import SUITES, TRACKS, Rules, Vehicle
 from scenegen.fly.course import Course, Recording, check_document
 
-DIFFICULTIES = ("easy", "medium", "hard")
-FLIGHTS = 5
-"""Missions through each world."""
-APART_M = 10.0
-"""Minimum distance from start to goal, metres; less where no pair so far apart is connected."""
-VEHICLE = Vehicle(radius_m=0.2, speed_mps=6, acceleration_mps2=6, tilt_deg=45)
-"""Small enough for the doors of hard rooms, and so fast that obstacles seen late matter."""
-PATIENCE = 20.0
-"""Time limit of a flight, as a multiple of the shortest way at full speed."""
-HIDDEN = 50
-"""Number of courses of a hidden track."""
-HIDDEN_KINDS = (
+SUITE = SUITES[0]
+LEVELS = ("easy", "medium", "hard")
+"""How hard courses are. The file aerial-2.toml says what that means for each kind of worlds."""
+KINDS = (
     "cave",
     "clutter",
     "forest",
@@ -36,56 +33,85 @@ HIDDEN_KINDS = (
     "street",
     "warehouse",
 )
-"""Kinds of a hidden track, in turn. They stay these, even if kinds are added."""
-MAPS = {
-    "geb079.bt": "95a21e00319a7773",
-    "fr_campus.bt": "241bc88f1bc5169f",
-    "forest_big.bt": "ad1194d4eafac11d",
-    "forest0.bt": "d2c2658cb9ee48fd",
-    "forest1.bt": "4aa306adaf3d7dbb",
-    "forest2.bt": "804aca1b8ed88b3f",
-}
-"""Maps of the track of real places, and the first `DIGITS` of their documents' SHA-256."""
-MAP_COURSES = 4
-"""Courses through each map."""
+"""Kinds of the tracks `drawn`, `movers` and `hidden`. They stay these, even if kinds are added."""
+UNSEEN = ("parking", "orchard", "scaffold", "rubble")
+"""Kinds of the track `unseen`."""
+TRAFFIC = ("light", "medium", "dense")
+"""How many movers the worlds of the track `movers` have, in turn."""
+WORLDS = {"drawn": 10, "unseen": 20, "movers": 5}
+"""Frozen worlds: `drawn`, of each kind and level; of others, of each kind, in turn of levels."""
+FIRST_SEED = 2_000
+"""Frozen worlds have the first seeds from here on that have room for their missions."""
+CALIBRATION_SEED = 1_000_000
+"""Seeds from here on are for calibration, and never frozen."""
+FLIGHTS = 5
+"""Missions through each world."""
+VEHICLE = Vehicle(radius_m=0.2, speed_mps=4, acceleration_mps2=6, tilt_deg=45)
+"""Small enough for narrow doors."""
+RULES = Rules(apart_m=10.0, berth_m=0.1, patience=20.0)
+"""Rules of all courses, where aerial-2.toml does not differ."""
+HIDDEN = 50
+"""Number of courses of a hidden track."""
+PLACE_COURSES = 4
+"""Courses through each map of a place."""
 QUICK = 16
 """With --quick, one of so many courses is flown."""
 DIGITS = 16
 """Hexadecimal digits of a world's SHA-256 that the suite's file holds."""
 
 
-def track_name(hidden: int | None, maps: Path | None) -> str:
-    """Return the name of a track.
+@functools.cache
+def frozen() -> Json:
+    """Read the suite's file.
+
+    Returns:
+        By track: the seed and the first digits of the world's SHA-256 of each course, by kind and
+        by level or number of movers; of `places`, these digits by the map's name.
+    """
+    text = Path(__file__).with_name(f"{SUITE}.json").read_text(encoding="utf-8")
+    return dict(json.loads(text))
+
+
+@functools.cache
+def hardness() -> Json:
+    """Read what the levels mean, by kind and level: `preset`, a difficulty; fields of `Rules`; and
+    tables of a recipe."""
+    return tomllib.loads(Path(__file__).with_name(f"{SUITE}.toml").read_text(encoding="utf-8"))
+
+
+def track_name(track: str, hidden: int | None, maps: Path | None) -> str:
+    """Return the name of a track as entries have it.
 
     Args:
+        track: One of `TRACKS`; `hidden` and `maps` stand for a track of their own.
         hidden: Number that draws the worlds of a hidden track, or None.
         maps: Folder of maps, or None.
 
     Returns:
-        "own" for the suite's courses, "maps", or "hidden" with a hash of the number, which does not
-        reveal the number.
+        The name; of a hidden track, "hidden" with a hash of the number, which does not reveal the
+        number.
     """
     if hidden is None:
-        return "own" if maps is None else "maps"
+        return track if maps is None else "places"
     # another hash than the one that `hidden_course` draws by, or the name would reveal the worlds
     return f"hidden {hashlib.sha256(f'name of {hidden}'.encode()).hexdigest()}"
 
 
-def chosen_courses(
-    suite: str, hidden: int | None, maps: Path | None, *, quick: bool
-) -> list[Course]:
+def chosen_courses(track: str, maps: Path | None = None, *, quick: bool) -> list[Course]:
     """Return the courses of a track.
 
     Args:
-        suite: Name of the suite.
-        hidden: Number of a hidden track, see `hidden_courses`, or None.
-        maps: Folder of the maps of real places, or None.
+        track: Name of the track, see `track_name`.
+        maps: Folder of the maps of places, or None.
         quick: Whether one of `QUICK` courses is enough.
 
     Raises:
-        GenerationError: The folder lacks a map.
+        GenerationError: The folder lacks a map, or the track has no courses yet.
     """
-    return frozen_courses(suite, track_name(hidden, maps), maps)[:: QUICK if quick else 1]
+    courses = frozen_courses(track, maps)
+    if not courses:
+        raise GenerationError(f"{SUITE} has no courses in its track {track} in this version")
+    return courses[:: QUICK if quick else 1]
 
 
 @dataclass(frozen=True)
@@ -121,22 +147,25 @@ def part_of(entry: Recording) -> Part:
     Raises:
         DatasetError: The recording is of no suite, or a course is not one of the suite's.
     """
-    if entry.suite not in SUITES:
+    if entry.suite is None:
         raise DatasetError("is not an entry; expected a recording of `fly suite`")
-    track = track_of(entry)
-    courses = {named(course): course.document for course in frozen_courses(entry.suite, track)}
+    if entry.suite not in SUITES:
+        raise DatasetError(
+            f"is an entry to {entry.suite}, which this version does not have; fly {SUITE}"
+        )
+    courses = {named(course): course.document for course in frozen_courses(entry.track)}
     left = courses.copy()  # each course counts once
     for course, _ in entry.courses:
         document = left.pop(named(course), None)
         if document is None or not course.document.startswith(document):
             raise DatasetError(
-                f"{course.world}, {course.difficulty}, seed {course.seed}, is no course of "
-                f"{entry.suite}'s track {track[:14]}, or is there twice, or has another world, "
-                "vehicle, sensor or rules"
+                f"{course.world}, {course.level}, seed {course.seed}, is no course of "
+                f"{entry.suite}'s track {entry.track[:14]}, or is there twice, or has another "
+                "world, vehicle, sensor or rules"
             )
     some = list(courses)[::QUICK]
     quick = {named(course) for course, _ in entry.courses} <= {*some}
-    return Part(track, quick, len(entry.courses), len(some) if quick else len(courses))
+    return Part(entry.track, quick, len(entry.courses), len(some) if quick else len(courses))
 
 
 def is_whole(entry: Recording) -> bool:
@@ -153,17 +182,10 @@ def named(course: Course) -> Course:
     return replace(course, world=Path(course.world).name, document="")
 
 
-def track_of(entry: Recording) -> str:
-    """Return the track of an entry; older entries lack it, and their worlds tell."""
-    maps = any(Path(course.world).name in MAPS for course, _ in entry.courses)
-    return entry.track.strip() or ("maps" if maps else "own")
-
-
-def frozen_courses(suite: str, track: str, maps: Path | None = None) -> list[Course]:
+def frozen_courses(track: str, maps: Path | None = None) -> list[Course]:
     """Return all courses of a track.
 
     Args:
-        suite: Name of the suite.
         track: Name of the track, see `track_name`.
         maps: Folder of the maps; None: courses have only their names.
 
@@ -171,18 +193,24 @@ def frozen_courses(suite: str, track: str, maps: Path | None = None) -> list[Cou
         DatasetError: There is no such track.
         GenerationError: The folder lacks a map.
     """
-    match track.split()[0]:
-        case "own":
-            return courses_of(suite)
-        case "maps":
-            return map_courses(maps)
-        case "hidden":
-            return hidden_courses()
-    raise DatasetError(f"{suite} has no track {track[:14]}; expected own, maps or hidden")
+    if track == "places":
+        return place_courses(maps)
+    if track.startswith("hidden "):
+        return hidden_courses()
+    if track not in TRACKS:
+        raise DatasetError(
+            f"{SUITE} has no track {track[:14]!a}; expected {', '.join(TRACKS)}, places or hidden"
+        )
+    return [
+        replace(course_of(track, kind, level), seed=seed, document=document)
+        for kind, levels in frozen().get(track, {}).items()
+        for level, chosen in levels.items()
+        for seed, document in chosen
+    ]
 
 
-def map_courses(folder: Path | None) -> list[Course]:
-    """Return the courses through maps of real places.
+def place_courses(folder: Path | None) -> list[Course]:
+    """Return the courses through maps of places.
 
     Args:
         folder: The folder of the maps, which may be in folders below it. None: courses have only
@@ -191,37 +219,28 @@ def map_courses(folder: Path | None) -> list[Course]:
     Raises:
         GenerationError: A map is missing. (A map with other content is refused by `Course.drawn`.)
     """
-    courses = []
-    for (name, document), seed in product(MAPS.items(), range(MAP_COURSES)):
+    courses, places = [], frozen().get("places", {})
+    for (name, document), seed in product(places.items(), range(PLACE_COURSES)):
         file = Path(name) if folder is None else min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
-                f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the "
-                "page on flights names"
+                f"{folder}: {name} is not there; expected {', '.join(places)}, which "
+                "benchmarks/places.py makes"
             )
-        courses.append(_course(str(file), None, seed, document))
+        course = course_of("places", str(file), "")
+        courses.append(replace(course, seed=seed, document=document))
     return courses
 
 
-def courses_of(suite: str) -> list[Course]:
-    """Return the courses of a suite, by kind and difficulty."""
-    text = (Path(__file__).parent / f"{suite}.json").read_text(encoding="utf-8")
-    return [
-        _course(kind, difficulty, seed, document)
-        for kind, graded in json.loads(text).items()
-        for difficulty, chosen in graded.items()
-        for seed, document in chosen
-    ]
-
-
 def hidden_courses() -> list[Course]:
-    """Return the courses of a hidden track as entries name them, of all `HIDDEN_KINDS` and
-    difficulties in turn. Their seeds are numbers from 0 on, for which `hidden_course` draws the
-    true ones."""
+    """Return the courses of a hidden track as entries name them, of all `KINDS` and levels in turn.
+    Their seeds are numbers from 0 on, for which `hidden_course` draws the true ones."""
     # kinds change from course to course, so that --quick has many of them
-    turns = list(product(DIFFICULTIES, HIDDEN_KINDS))
+    turns = list(product(LEVELS, KINDS))
     chosen = (turns[n % len(turns)] for n in range(HIDDEN))
-    return [_course(kind, level, n, "") for n, (level, kind) in enumerate(chosen)]
+    return [
+        replace(course_of("hidden", kind, level), seed=n) for n, (level, kind) in enumerate(chosen)
+    ]
 
 
 def hidden_course(course: Course, hidden: int) -> Course:
@@ -238,24 +257,49 @@ def hidden_course(course: Course, hidden: int) -> Course:
     digest = hashlib.sha256(f"aerial hidden {hidden}".encode()).digest()
     rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
     firsts = [int(rng.integers(1 << 63)) for _ in range(course.seed + 1)]
-    for seed in count(firsts[-1]):
-        drawn = replace(course, seed=seed, document="")
+    drawn = next(fitting(replace(course, document=""), firsts[-1]))
+    check_document(drawn.sha256, course)
+    return drawn
+
+
+def fitting(course: Course, first: int) -> Iterator[Course]:
+    """Draw courses whose worlds have room for all missions, as far apart as the rules say.
+
+    Args:
+        course: The course, whose seed changes.
+        first: First seed.
+
+    Yields:
+        The course by each such seed.
+    """
+    for seed in count(first):
+        drawn = replace(course, seed=seed)
         try:
-            _ = drawn.missions
+            missions = drawn.missions
         except GenerationError:  # too narrow
             continue
-        check_document(drawn.sha256, course)
-        return drawn
-    raise AssertionError("numbers do not end")
+        if all(mission.straight_m >= course.rules.apart_m for mission in missions):
+            yield drawn
 
 
-def _course(kind: str, difficulty: str | None, seed: int, document: str) -> Course:
+def course_of(track: str, world: str, level: str) -> Course:
+    """Return a course of the suite without its seed.
+
+    Args:
+        track: Name of the track.
+        world: A kind of worlds, or the file of a map.
+        level: One of `LEVELS`; one of `TRAFFIC` for the track `movers`; "" for a map.
+    """
+    common: Any = {"world": world, "level": level, "vehicle": VEHICLE, "flights": FLIGHTS}
+    if track == "movers":
+        return Course(**common, movers=level, rules=RULES)  # type: ignore[arg-type]
+    if track in ("unseen", "places"):
+        return Course(difficulty=level or None, rules=RULES, **common)
+    changes = dict(hardness()[world][level])
+    tables = {name: changes.pop(name) for name in ("world", "flight") if name in changes}
     return Course(
-        world=kind,
-        seed=seed,
-        difficulty=difficulty,
-        vehicle=VEHICLE,
-        rules=Rules(apart_m=APART_M, patience=PATIENCE),
-        flights=FLIGHTS,
-        document=document,
+        difficulty=changes.pop("preset", level),
+        recipe=json.dumps(tables) if tables else "",
+        rules=replace(RULES, **changes),
+        **common,
     )

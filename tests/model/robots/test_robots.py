@@ -98,7 +98,8 @@ def test_dead_ends_deeper_than_the_window_are_left(tmp_path, monkeypatch):
 
 def test_who_knows_the_truth_hits_nothing(monkeypatch):
     """Behind a corner it would be carried into a wall, or out of bounds."""
-    course = Course(world="maze", difficulty="easy", seed=901, vehicle=suite.VEHICLE)
+    vehicle = replace(suite.VEHICLE, speed_mps=6)
+    course = Course(world="maze", difficulty="easy", seed=901, vehicle=vehicle)
     ends = {"start": (26.85, 9.35, 2.55), "goal": (11.45, 25.55, 4.75)}
     robot = robot_maker("truth", None)(course)
     bounds = course.drawn.flight_bounds
@@ -304,7 +305,8 @@ def digests_of(report):
 def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     """What one holds is not flown again; a command for fewer, or other, courses leaves it alone."""
     monkeypatch.setattr(suite, "FLIGHTS", 1)
-    chosen = [course for course in suite.courses_of("aerial-1") if course.world == "pillar"][::10]
+    frozen = suite.frozen_courses("drawn")
+    chosen = [course for course in frozen if course.world == "pillar"][::10]
     parts = iter([chosen[:1], chosen, chosen[1:]])
     monkeypatch.setattr(suite, "chosen_courses", lambda *_, **__: next(parts))
     file = tmp_path / "entry.json"
@@ -333,7 +335,8 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     page = tmp_path / "page.html"
     done(capsys, f"fly rank {tmp_path} -o {page}")
     shown = page.read_text()
-    assert f"own: {part}" in shown
+    assert f"drawn: {part}" in shown
+    assert "success, blocked line" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
     assert shown.count("src='better.html'") == shown.count("<iframe") == 1
     assert "98765." not in shown  # scores follow from what was flown
@@ -361,15 +364,15 @@ def test_stopped_runs_keep_an_entry(tmp_path, monkeypatch):
         yield work(tasks[1])
         raise GenerationError("a worker was killed")
 
-    for name in ("aerial-1", None):
+    for name in ("aerial-2", None):
         file = tmp_path / f"{name}.json"
         monkeypatch.setattr(flights, "SAVED_S", -1.0)
         work = courses, lambda course: (course, [flown]), "idle", name, file
         with pytest.raises(GenerationError):
             flights.fly_courses(*work, flights.crew_of(stopped))
     assert saved == [1, False]
-    assert f"{tmp_path}/aerial-1.json holds 1 of 3 courses" in told[0]
-    assert len(read_recording(tmp_path / "aerial-1.json").courses) == 2
+    assert f"{tmp_path}/aerial-2.json holds 1 of 3 courses" in told[0]
+    assert len(read_recording(tmp_path / "aerial-2.json").courses) == 2
     assert "no flight is kept" in told[1]
     assert not file.exists()
 
@@ -381,8 +384,8 @@ def test_secret_courses_are_flown_again_by_owners(capsys, tmp_path, monkeypatch,
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[30, :40] = OCCUPIED
     hall = Course(world=str(hall_in(tmp_path, states))).sha256[:16]
-    settings = {"MAP_COURSES": 1, "HIDDEN": 2, "FLIGHTS": 1, "HIDDEN_KINDS": ("pillar", "rooms")}
-    for name, value in {**settings, "MAPS": {"hall.npz": hall}}.items():
+    settings = {"PLACE_COURSES": 1, "HIDDEN": 2, "FLIGHTS": 1, "KINDS": ("pillar", "rooms")}
+    for name, value in {**settings, "frozen": lambda: {"places": {"hall.npz": hall}}}.items():
         monkeypatch.setattr(suite, name, value)
     done(capsys, f"fly suite --robot reactive --workers 1 -o e.json {given}")
     entry = json.loads((tmp_path / "e.json").read_text())
@@ -431,8 +434,10 @@ def test_own_robots_fly_and_bad_answers_count(
 
 BAD_USE = """
 fly world
-fly suite aerial-2
+fly suite aerial-1
 fly suite --hidden 7 --maps .
+fly suite --track movers --hidden 7
+fly suite --track seen
 fly world pillar --robot optimist
 fly world pillar --robot reactive --weights columns
 fly world pillar --robot no_such:Robot --flights 1

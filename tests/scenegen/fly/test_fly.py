@@ -24,11 +24,11 @@ from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, log_of, read_recording, replay
 from scenegen.fly.loop import HOVER, fly, scored
-from scenegen.fly.missions import Mission, draw_missions, graded
+from scenegen.fly.missions import Mission, draw_missions, graded, progress
 from scenegen.fly.motion import STEP_S, STEPS, Quadrotor, advance, max_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Odometry, Simulation, bounded
-from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
+from scenegen.fly.suite import chosen_courses, frozen_courses, hidden_course, part_of
 from scenegen.worlds import kinds as recipes
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.world import compile_world
@@ -410,8 +410,59 @@ def test_missions_follow_the_rule(monkeypatch):
     refuses("large", draw_missions, wall, large, rules, 1, seed=1, error=ScenegenError)
 
 
-def course_of(flights, **options):
+@pytest.mark.parametrize(("detour", "berth_m", "fewest"), [(1.0, 0.0, 1), (1.3, 0.0, 4)])
+def test_missions_are_as_long_as_the_rules_ask(monkeypatch, detour, berth_m, fewest):
+    """Around a wall with an opening at its side."""
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)
+    rules, world = Rules(apart_m=2.0, detour=detour, berth_m=berth_m), walled()
+    missions = draw_missions(world, VEHICLE, rules, 4, seed=1)
+    blocked = [
+        not world.clearance.motion_is_free(one.start, one.goal, VEHICLE.radius_m)
+        for one in missions
+    ]
+    assert min(one.shortest_m / one.straight_m for one in missions) >= detour
+    assert fewest <= sum(blocked) <= (4 if detour > 1 else 3)
+
+
+def test_ways_keep_the_berth_of_the_rules():
+    """The opening, 1 m wide, lets a ball of 0.3 m through, but none of 1.1 m."""
+    sides = {}
+    for berth_m in (0.0, 0.8):
+        rules = Rules(apart_m=2.0, berth_m=berth_m)
+        missions = draw_missions(walled(), VEHICLE, rules, 6, seed=1)
+        sides[berth_m] = {(one.start[0] < 4) == (one.goal[0] < 4) for one in missions}
+    assert sides == {0.0: {True, False}, 0.8: {True}}
+
+
+def walled():
+    """A wall across the bounds with an opening of 1 m at its side."""
+    return world_of('<geom type="box" pos="4 -1 2" size=".2 3 9"/>')
+
+
+def test_progress_is_the_share_of_the_shortest_way():
+    """Behind a wall with an opening at its side, which is nearer to the goal in a straight line."""
+    mission = Mission(start=(3, -2, 2), goal=(5, -2, 2), shortest_m=9.0, bounds=BOUNDS)
+
+    def at(x, y):
+        return progress(walled(), mission, 0.3, (x, y, 2.0))
+
+    assert (at(3, -2), at(5, -2)) == (0.0, 1.0)
+    assert at(3.65, -2) == pytest.approx(0.0, abs=0.05)  # at the wall, where it does not fit
+    assert at(4, 2.5) == pytest.approx(0.5, abs=0.05)
+    assert at(3, 0) == pytest.approx(0.22, abs=0.05)
+
+
+def pillars(flights, **options):
     return Course(world="pillar", flights=flights, seed=4, **options)
+
+
+def test_a_course_draws_by_its_own_recipe():
+    recipe = '{"world": {"density": [0.01, 0.02]}, "flight": {"altitude_m": [1.0, 2.0]}}'
+    world = pillars(1, recipe=recipe).drawn
+    assert_allclose(world.flight_bounds[:, 2], [1.0, 2.0])
+    assert world.mjcf.count(b"<geom") < 0.5 * pillars(1).drawn.mjcf.count(b"<geom")
+    for case in ("[", "[1]", '{"lidar": {"sensor": "mine:Sensor"}}', '{"world": {"densty": 1}}'):
+        refuses(case, lambda: pillars(1, recipe=case).drawn, error=ScenegenError)  # noqa: B023
 
 
 def entry_of(*flights, **options):
@@ -421,7 +472,7 @@ def entry_of(*flights, **options):
 
 @pytest.mark.parametrize("rules", [Rules(), Rules(latency_s=0.13, drift_m=2.0, drift_deg=5.0)])
 def test_a_recording_flies_again(rules, tmp_path):
-    course = replace(course_of(2), rules=rules)
+    course = replace(pillars(2), rules=rules)
     flown = [fly(course.simulation(n), Scripted(straight(0.1 * n))) for n in range(2)]
     file, content = tmp_path / "flights.json", entry_of((course, flown)).encoded()
     file.write_bytes(content)
@@ -446,7 +497,7 @@ def test_a_recording_flies_again(rules, tmp_path):
 def test_no_forged_figure_passes(tmp_path):
     """Whatever is changed of a flight, it is refused, when it is read or when it is flown again;
     who flew it alone knows how long it thought, and when it died."""
-    course, file = course_of(1), tmp_path / "forged.json"
+    course, file = pillars(1), tmp_path / "forged.json"
     flown = fly(course.simulation(0), Scripted([[1.0, 0.0, 0.0, 0.1]] * 6))
     assert flown.outcome == "crashed"
     success = {"outcome": "success", "score": 0.5, "spl": 1.0}
@@ -488,22 +539,41 @@ def test_no_forged_figure_passes(tmp_path):
 def test_the_suite_is_drawn_as_it_was_frozen(chosen):
     """Worlds are those that the suite's file names, one of each kind here, of each kind and
     difficulty among the slow tests, and have missions."""
-    courses = courses_of("aerial-1")
+    courses = frozen_courses("drawn")
     assert len(courses) == len(set(courses)) == 300
     assert {len(course.document) for course in courses} == {16}
     for course in (courses[10 * n] for n in chosen):
         assert course.sha256.startswith(course.document)
-    assert len(courses[7].missions) == courses[7].flights
-    quick = chosen_courses("aerial-1", None, None, quick=True)
+    missions = courses[7].missions
+    assert [mission.straight_m >= 10 for mission in missions] == [True] * courses[7].flights
+    quick = chosen_courses("drawn", quick=True)
     assert len({course.world for course in quick}) == 10
-    assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
+    assert {course.level for course in quick} == {"easy", "medium", "hard"}
+
+
+FROZEN = {"drawn": (300, "31c17c43"), "movers": (50, "0d4912b0"), "places": (14, "3eb9d0a8")}
+"""Courses, or maps, of each track, and the first digits of the SHA-256 of its part of the file."""
+
+
+@pytest.mark.parametrize("track", FROZEN)
+def test_a_track_never_changes(track):
+    part = suite.frozen()[track]
+    digest = hashlib.sha256(json.dumps(part).encode()).hexdigest()[:8]
+    count = len(part) if track == "places" else len(frozen_courses(track))
+    assert (count, digest) == FROZEN[track]
+
+
+def test_seeds_of_the_calibration_are_not_frozen():
+    for track in ("drawn", "unseen", "movers"):
+        seeds = {course.seed for course in frozen_courses(track)}
+        assert all(suite.FIRST_SEED <= seed < suite.CALIBRATION_SEED for seed in seeds)
 
 
 HIDDEN_WORLDS = {
     5: (4418664987486324211, "46f2f254f561c0e9"),
-    6: (9086653050485294098, "ec6c187b496585be"),
+    6: (9086653050485294098, "26e27a1d1ac435dd"),
     7: (6997508757783532242, "25ea243a02f8709f"),
-    9: (7529006468152587400, "9e60c6d1a1fc186f"),
+    9: (7529006468152587400, "1fd1b265abacbd32"),
 }
 """Courses of the hidden track that the number 5 draws: the seed, and the world's first digits."""
 
@@ -513,11 +583,11 @@ def test_the_hidden_track_never_changes(monkeypatch):
     of worlds is added."""
     monkeypatch.setitem(recipes.KINDS.builtin, "attic", "nowhere:Attic")
     assert "attic" in recipes.kind_names()
-    courses = chosen_courses("aerial-1", 5, None, quick=False)
-    listed = "\n".join(f"{one.seed} {one.world} {one.difficulty} {one.flights}" for one in courses)
+    courses = chosen_courses(HIDDEN_5, quick=False)
+    listed = "\n".join(f"{one.seed} {one.world} {one.level} {one.flights}" for one in courses)
     assert hashlib.sha256(listed.encode()).hexdigest()[:16] == "717f5a267ea15677"
     for number, frozen in HIDDEN_WORLDS.items():
-        course = replace(courses[number], flights=1)  # missions take the time
+        course = replace(courses[number], flights=1)  # missions take the time, and change the seed
         drawn = hidden_course(course, 5)
         assert (drawn.seed, drawn.sha256[:16]) == frozen
     assert hidden_course(course, 6).seed != drawn.seed
@@ -525,19 +595,22 @@ def test_the_hidden_track_never_changes(monkeypatch):
     refuses("another world", hidden_course, other, 5, error=ScenegenError)
 
 
-def part(courses, track="own"):
+HIDDEN_5, HIDDEN_7, HIDDEN_8 = (suite.track_name("drawn", number, None) for number in (5, 7, 8))
+
+
+def part(courses, track="drawn", name="aerial-2"):
     flights = [(course, []) for course in courses]
-    return part_of(entry_of(*flights, suite="aerial-1", track=track))
+    return part_of(entry_of(*flights, suite=name, track=track))
 
 
 def test_an_entry_keeps_to_its_suite():
     """Neither an easier vehicle nor a world of one's own, nor the easy ones twice, is an entry."""
-    courses = chosen_courses("aerial-1", None, None, quick=True)
-    assert str(part(courses)) == "own, quick: 19 of 19 courses"
-    assert "30 of 300 courses, incomplete" in str(part(courses_of("aerial-1")[::10]))
-    hidden = chosen_courses("aerial-1", 7, None, quick=False)
-    assert (part(hidden, track_name(7, None)).there, part(hidden, "hidden x").of) == (50, 50)
-    assert track_name(7, None) != track_name(8, None)
+    courses = chosen_courses("drawn", quick=True)
+    assert str(part(courses)) == "drawn, quick: 19 of 19 courses"
+    assert "30 of 300 courses, incomplete" in str(part(frozen_courses("drawn")[::10]))
+    hidden = chosen_courses(HIDDEN_7, quick=False)
+    assert (part(hidden, HIDDEN_7).there, part(hidden, "hidden x").of) == (50, 50)
+    assert HIDDEN_7 != HIDDEN_8
     first, second, *_ = courses
     forged = {
         "vehicle": replace(first, vehicle=replace(first.vehicle, radius_m=0.03)),
@@ -549,6 +622,7 @@ def test_an_entry_keeps_to_its_suite():
     for case, course in forged.items():
         refuses(case, part, [course, *courses[1:]], error=ScenegenError)
     refuses("easy", part, courses, "easy", error=ScenegenError)
+    refuses("aerial-1", part, courses, name="aerial-1", error=ScenegenError)
 
 
 def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path, monkeypatch):
@@ -567,12 +641,12 @@ def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path, 
     assert "known" not in course.simulated.truth(GridSpec(), np.zeros(3))
 
 
-def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
-    track = partial(chosen_courses, "aerial-1", None, tmp_path, quick=False)
+def test_the_track_places_is_of_these_maps_alone(tmp_path, monkeypatch):
+    track = partial(chosen_courses, "places", tmp_path, quick=False)
     refuses("absent", track, error=ScenegenError)
     states = np.full((6, 6, 5), FREE, np.uint8)
     hall_in(tmp_path, states)
-    monkeypatch.setattr(suite, "MAPS", {"hall.npz": "0" * 16})
+    monkeypatch.setattr(suite, "frozen", lambda: {"places": {"hall.npz": "0" * 16}})
     courses = track()
     assert [course.seed for course in courses] == [0, 1, 2, 3]
     refuses("another world", lambda: courses[0].drawn, error=ScenegenError)
@@ -600,7 +674,7 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
 
 
 def test_the_log_of_a_flight_has_true_poses():
-    course = replace(course_of(1), rules=Rules(drift_m=5.0, drift_deg=20.0))
+    course = replace(pillars(1), rules=Rules(drift_m=5.0, drift_deg=20.0))
     flown = fly(course.simulation(0), Scripted(straight(0.0)))
     positions = [scan.pose.position for scan in log_of(course, 0, flown)]
     assert_allclose(positions, flown.path[:-1], atol=1e-12)
