@@ -22,7 +22,7 @@ from scenegen.base.executors import processor
 from scenegen.fly.course import Course
 from scenegen.fly.loop import fly
 from scenegen.fly.motion import STEP_S
-from scenegen.fly.suite import courses_of
+from scenegen.fly.suite import frozen_courses
 from scenegen.model.robots.flights import robot_maker
 
 FIGURES = ("mean, ms", "95 %", "longest", "mean by the clock", "95 %", "latency, s")
@@ -55,7 +55,7 @@ class Timed:
 def main() -> None:
     """Print a row of each robot."""
     given = measuring.parse(Options, robots=["reactive", "optimistic"], flights=1)
-    every = courses_of("aerial-1")
+    every = frozen_courses("drawn")
     courses = [replace(one, flights=1) for one in every[:: len(every) // given.flights]]
     rows = []
     for name in given.robots:

@@ -32,15 +32,15 @@ from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.motion import STEP_S
 from scenegen.fly.simulation import HITS
-from scenegen.fly.suite import KINDS, LEVELS, SUITE, TRAFFIC, UNSEEN, chosen_courses, frozen
+from scenegen.fly.suite import KINDS, LEVELS, SUITE, TRAFFIC, UNSEEN, chosen_courses, frozen, late
 from scenegen.model.completion.completer import locate
 from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 from scenegen.truth.difficulty import Difficulty
 
 ROBOTS = (
-    *("truth", "reactive", "optimistic"),
-    *(f"{name}, brakes" for name in ("optimistic", "extrude", "proposed", "columns", "anywhere")),
+    *("truth", "optimistic", "optimistic, brakes", "extrude, brakes", "returns", "reactive"),
+    *("columns, brakes", "anywhere", "anywhere, brakes", "anywhere, brakes at 0.5"),
 )
 BASELINES = ("optimistic, brakes", "extrude, brakes")
 LATENCY_S = {
@@ -102,7 +102,7 @@ class Options(measuring.Options):
     dynamics: Literal["kinematic", "mujoco"] = "kinematic"
     """of the vehicle"""
     charged: bool = False
-    """decisions come late by `LATENCY_S`; these are not flights of the suite"""
+    """decisions come late by `LATENCY_S`"""
     figures: Path | None = None
 
 
@@ -123,7 +123,8 @@ def measured(track: str, given: Options) -> None:
         ]
         found: Found = {}
         for name in given.robots:
-            own = [charged(one, name) for one in courses] if given.charged else courses
+            latency_s = LATENCY_S[parts(name)[2]] if given.charged else 0.0
+            own = [late(one, latency_s) for one in courses]
             found |= flown(name, own, track, given.entries or Path(spare))
     of_each = [course for course in courses for _ in range(course.flights)]
     worlds = [course.sha256 for course in of_each]
@@ -131,12 +132,6 @@ def measured(track: str, given: Options) -> None:
     for base in BASELINES:
         lines += less(base, found, worlds) if base in found else []
     publish(given, [*lines, *by_groups(found, of_each), *how_hard(found, courses)])
-
-
-def charged(course: Course, robot: str) -> Course:
-    """A course on which decisions come as late as the robot's took."""
-    latency_s = LATENCY_S[parts(robot)[2]]
-    return replace(course, rules=replace(course.rules, latency_s=latency_s))
 
 
 def parts(name: str) -> tuple[str, str | None, str, float | None]:

@@ -31,6 +31,8 @@ from scenegen.fly.suite import (
     frozen_courses,
     hidden_course,
     is_whole,
+    late,
+    latency_of,
     named,
     part_of,
     track_name,
@@ -304,7 +306,8 @@ def fly_courses(
     """
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
-    flown = _recorded(out, entry, keys)
+    # a run has one latency, for all of its courses
+    flown = _recorded(out, entry, keys, courses[0].rules.latency_s)
     missing = [course for course, key in zip(courses, keys, strict=True) if key not in flown]
 
     def save() -> str:
@@ -334,7 +337,7 @@ def fly_courses(
 
 
 def _recorded(
-    out: Path | None, entry: Recording, keys: Sequence[Course]
+    out: Path | None, entry: Recording, keys: Sequence[Course], latency_s: float
 ) -> dict[Course, FlownCourse]:
     """Read the flights of an entry that `out` already holds, by their courses' names.
 
@@ -357,6 +360,13 @@ def _recorded(
         )
     if earlier.network and entry.network and earlier.network != entry.network:
         raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
+    with reraise_as(ScenegenError, f"{out}: ", of=DatasetError):
+        was_late = latency_of(earlier)
+    if was_late != latency_s:
+        raise ScenegenError(
+            f"{out}: is of flights with a latency of {was_late:g} s; give --latency {was_late:g}, "
+            "or another name"
+        )
     # writing the entry would lose flights of courses that are not among these
     flown = {named(course): (course, flights) for course, flights in earlier.courses}
     if not flown.keys() <= {*keys}:
@@ -397,7 +407,10 @@ def open_recording(
     # the suite's own courses: a stranger's file could lead to other worlds by the same names
     frozen = {named(course): course for course in frozen_courses(track, maps)}
     courses = [
-        (replace(frozen[named(course)], document=course.document), flights)
+        (
+            replace(late(frozen[named(course)], course.rules.latency_s), document=course.document),
+            flights,
+        )
         for course, flights in recording.courses
     ]
     return replace(recording, courses=courses), {"courses": str(part)}

@@ -239,6 +239,7 @@ def world(
 @click.option(
     "--track", type=Choice(TRACKS), default=TRACKS[0], help="Which of the suite's courses to fly."
 )
+@options_of(Rules, latency_s="What a decision of the robot takes, seconds: it comes as late.")
 @click.option("--quick", is_flag=True, help="Every sixteenth course.")
 @track_options(
     "Fly 50 courses that this number draws: the track hidden.",
@@ -246,10 +247,16 @@ def world(
 )
 @out_option("The entry, .json; an unfinished one is continued.")
 @picture_options
-@group("Robot", "robot weights brakes doubt")
+@group("Robot", "robot weights brakes doubt latency")
 @group("Courses", "track quick hidden maps")
 def suite(
-    suite: str, track: str, quick: bool, hidden: int | None, maps: Path | None, **options: Any
+    suite: str,
+    track: str,
+    latency: float,
+    quick: bool,
+    hidden: int | None,
+    maps: Path | None,
+    **options: Any,
 ) -> None:
     """Fly a robot through all courses of a track of a suite.
 
@@ -258,14 +265,14 @@ def suite(
         UsageError: Options contradict each other.
         ScenegenError: There is no such robot, or a map is missing.
     """
-    from scenegen.fly.suite import chosen_courses, track_name
+    from scenegen.fly.suite import chosen_courses, late, track_name
 
     if was_given("track") + (hidden is not None) + (maps is not None) > 1:
         raise click.UsageError(
             "--track, --hidden and --maps choose other courses; give one of them"
         )
     track = track_name(track, hidden, maps)
-    courses = chosen_courses(track, maps, quick=quick)
+    courses = [late(course, latency) for course in chosen_courses(track, maps, quick=quick)]
     _fly(courses, suite=suite, hidden=hidden, track=track, **options)
 
 

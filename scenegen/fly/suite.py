@@ -135,8 +135,8 @@ class Part:
 def part_of(entry: Recording) -> Part:
     """Count the courses of an entry, and check that each belongs to the entry's suite.
 
-    Vehicle, rules and sensor must be those of the suite, and the world's hash as far as the suite
-    has it; worlds are not drawn.
+    Vehicle, rules (but for one latency) and sensor must be those of the suite, and the world's hash
+    as far as the suite has it; worlds are not drawn.
 
     Args:
         entry: The entry.
@@ -153,6 +153,7 @@ def part_of(entry: Recording) -> Part:
         raise DatasetError(
             f"is an entry to {entry.suite}, which this version does not have; fly {SUITE}"
         )
+    latency_of(entry)
     courses = {named(course): course.document for course in frozen_courses(entry.track)}
     left = courses.copy()  # each course counts once
     for course, _ in entry.courses:
@@ -178,8 +179,29 @@ def is_whole(entry: Recording) -> bool:
 
 
 def named(course: Course) -> Course:
-    """Return a course as entries name it: a map without its folder, and no hash of the world."""
-    return replace(course, world=Path(course.world).name, document="")
+    """Return a course as entries name it: a map without its folder, no hash of the world, and no
+    latency, which belongs to the robot."""
+    return replace(late(course, 0.0), world=Path(course.world).name, document="")
+
+
+def late(course: Course, latency_s: float) -> Course:
+    """Return a course on which decisions come as late as this, seconds."""
+    return replace(course, rules=replace(course.rules, latency_s=latency_s))
+
+
+def latency_of(entry: Recording) -> float:
+    """Return the latency of an entry's robot, seconds.
+
+    Args:
+        entry: The entry.
+
+    Raises:
+        DatasetError: Its courses have several.
+    """
+    found = {course.rules.latency_s for course, _ in entry.courses}
+    if len(found) > 1:
+        raise DatasetError(f"has flights of {len(found)} latencies; expected one")
+    return found.pop() if found else 0.0
 
 
 def frozen_courses(track: str, maps: Path | None = None) -> list[Course]:

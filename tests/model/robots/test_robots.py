@@ -307,10 +307,10 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "FLIGHTS", 1)
     frozen = suite.frozen_courses("drawn")
     chosen = [course for course in frozen if course.world == "pillar"][::10]
-    parts = iter([chosen[:1], chosen, chosen[1:]])
+    parts = iter([chosen[:1], chosen, chosen, chosen[1:]])
     monkeypatch.setattr(suite, "chosen_courses", lambda *_, **__: next(parts))
     file = tmp_path / "entry.json"
-    words = f"fly suite --robot reactive --workers 1 -o {file}"
+    words = f"fly suite --robot reactive --workers 1 --latency 0.1 -o {file}"
     done(capsys, words)
     ((_, (first,)),) = read_recording(file).courses
     assert not read_recording(file).complete
@@ -319,7 +319,9 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     entry = read_recording(file)
     assert [course.seed for course, _ in entry.courses] == [course.seed for course in chosen]
     assert entry.courses[0][1][0].step_s == first.step_s  # by the clock: no second flight has it
+    assert {course.rules.latency_s for course, _ in entry.courses} == {0.1}
     before = file.read_bytes()
+    refuses_command(capsys, words.replace("0.1", "0.2"))
     refuses_command(capsys, words)
     refuses_command(capsys, f"fly world pillar --robot reactive --flights 1 -o {file}")
     assert file.read_bytes() == before

@@ -608,6 +608,8 @@ def test_an_entry_keeps_to_its_suite():
     courses = chosen_courses("drawn", quick=True)
     assert str(part(courses)) == "drawn, quick: 19 of 19 courses"
     assert "30 of 300 courses, incomplete" in str(part(frozen_courses("drawn")[::10]))
+    slow = [suite.late(course, 0.1) for course in courses]
+    assert str(part(slow)) == "drawn, quick: 19 of 19 courses"
     hidden = chosen_courses(HIDDEN_7, quick=False)
     assert (part(hidden, HIDDEN_7).there, part(hidden, "hidden x").of) == (50, 50)
     assert HIDDEN_7 != HIDDEN_8
@@ -618,6 +620,7 @@ def test_an_entry_keeps_to_its_suite():
         "document": replace(first, document=""),
         "twice": second,
         "hidden": hidden[0],
+        "latencies": slow[0],
     }
     for case, course in forged.items():
         refuses(case, part, [course, *courses[1:]], error=ScenegenError)
