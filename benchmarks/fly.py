@@ -36,7 +36,6 @@ from scenegen.fly.suite import KINDS, LEVELS, SUITE, TRAFFIC, UNSEEN, chosen_cou
 from scenegen.model.completion.completer import locate
 from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
-from scenegen.truth.difficulty import Difficulty
 
 ROBOTS = (
     *("truth", "optimistic", "optimistic, brakes", "extrude, brakes", "returns", "reactive"),
@@ -64,8 +63,6 @@ benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks 
 with doubt was not: it has the figure of that with brakes."""
 Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
-EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
-"""The figures of difficulty of which less is harder."""
 DECISION = "decision, ms"
 """Told without an interval: by the clock, beside other work."""
 FIGURES: dict[str, Callable[[Flown], float]] = {
@@ -131,7 +128,7 @@ def measured(track: str, given: Options) -> None:
     lines = robots(found, worlds)
     for base in BASELINES:
         lines += less(base, found, worlds) if base in found else []
-    publish(given, [*lines, *by_groups(found, of_each), *how_hard(found, courses)])
+    publish(given, [*lines, *by_groups(found, of_each)])
 
 
 def parts(name: str) -> tuple[str, str | None, str, float | None]:
@@ -205,27 +202,6 @@ def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
                 rows.append((f"`{name}`", means))
             lines += titled(f"## {what.capitalize()}, by {title}", groups, rows)
     return lines
-
-
-def how_hard(found: Found, courses: Sequence[Course]) -> list[str]:
-    """The figures of difficulty by level, and success in the third of the flights that each figure
-    calls easiest, and in the hardest third."""
-    grades = [grade for course in courses for grade in course.graded()]
-    level_of = np.array([course.level for course in courses for _ in range(course.flights)])
-    levels = [*dict.fromkeys(level_of.tolist())]
-    success = {name: one["success"] for name, one in found.items() if name != "truth"}
-    by_level, by_third = [], []
-    for name, values in zip(Difficulty._fields, np.transpose(grades), strict=True):
-        means = (np.nanmean(values[level_of == level]) for level in levels)
-        by_level.append((f"`{name}`", [f"{mean:.2f}" for mean in means]))
-        order = np.argsort(-values if name in EASIER else values, kind="stable")
-        third = max(len(order) // 3, 1)
-        ends = order[:third], order[-third:]
-        cells = [" · ".join(f"{one[end].mean():.2f}" for end in ends) for one in success.values()]
-        by_third.append((f"`{name}`", cells))
-    lines = titled("## How hard the flights are", [one or "all" for one in levels], by_level)
-    title = "Success in the easiest third, by the figure · in the hardest:"
-    return lines + titled(title, [f"`{name}`" for name in success], by_third)
 
 
 if __name__ == "__main__":
