@@ -252,7 +252,7 @@ def world(
 def suite(
     suite: str,
     track: str,
-    latency: float,
+    latency_s: float,
     quick: bool,
     hidden: int | None,
     maps: Path | None,
@@ -272,7 +272,7 @@ def suite(
             "--track, --hidden and --maps choose other courses; give one of them"
         )
     track = track_name(track, hidden, maps)
-    courses = [late(course, latency) for course in chosen_courses(track, maps, quick=quick)]
+    courses = [late(course, latency_s) for course in chosen_courses(track, maps, quick=quick)]
     _fly(courses, suite=suite, hidden=hidden, track=track, **options)
 
 
