@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 331_500, "benchmarks": 36_500, "tests": 221_500}
-FILES = 231
+TOKENS = {"product": 342_500, "benchmarks": 47_000, "tests": 224_500}
+FILES = 236
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what
 explains code costs nothing."""

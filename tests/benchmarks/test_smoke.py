@@ -27,7 +27,18 @@ LEARNED = {
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
-    *("crowds", "extras", "fly", "folders", "generate", "intervals", "kinds", "noise", "rehearsal"),
+    *(
+        "crowds",
+        "decisions",
+        "extras",
+        "fly",
+        "folders",
+        "generate",
+        "intervals",
+        "kinds",
+        "noise",
+        "rehearsal",
+    ),
     *("movers", "mutants", "study", "suite", "verify"),
 }
 """These take some seconds."""
