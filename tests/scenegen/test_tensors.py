@@ -139,6 +139,9 @@ def test_what_cannot_be_is_said_in_a_line(samples, monkeypatch):
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_plain_loader_of_samples_names_the_method(samples, workers):
     for each in (samples, scenegen.stream(small_recipe(), samples=4)):
+        batches = iter(DataLoader(each, batch_size=2, num_workers=workers))
         with pytest.raises(TypeError, match=r"give DataLoader `samples\.torch\(\)`"):
-            next(iter(DataLoader(each, batch_size=2, num_workers=workers)))
+            next(batches)
+        # the error keeps the iterator, whose processes a later test would wait for
+        getattr(batches, "_shutdown_workers", lambda: None)()
     assert len(next(iter(DataLoader(samples, batch_size=2, collate_fn=list)))) == 2
