@@ -10,7 +10,7 @@ from typing import NamedTuple
 from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, named, part_of
+from scenegen.fly.suite import Part, latency_of, named, part_of
 from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.tables import Table, framed, page
 
@@ -119,7 +119,9 @@ def _row(entry: Recording) -> Row:
             figures = marks(success, flight.time_s, flight.flown_m, flight.shortest_m, best_s)
             scored.append(replace(flight, score=figures["score"], spl=figures["spl"]))
             courses.append((course, number))
-    return Row(entry.robot, courses, scored)
+    latency_s = latency_of(entry)
+    robot = f"{entry.robot}, latency {latency_s:g} s" if latency_s else entry.robot
+    return Row(robot, courses, scored)
 
 
 def _cells(row: Row, best: Row) -> list[str]:

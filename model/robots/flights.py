@@ -364,7 +364,7 @@ def _recorded(
         was_late = latency_of(earlier)
     if was_late != latency_s:
         raise ScenegenError(
-            f"{out}: is of flights with a latency of {was_late:g} s; give --latency {was_late:g}, "
+            f"{out}: is of flights with a latency of {was_late} s; give --latency {was_late}, "
             "or another name"
         )
     # writing the entry would lose flights of courses that are not among these

@@ -386,8 +386,8 @@ def replay(
 ) -> None:
     """Fly a recording's commands again, and compare every bit and figure.
 
-    With --robot or --weights, also let that robot fly every sixteenth course anew; exit code 1 if
-    its flights differ from the recording.
+    With --robot, --weights or --brakes, also let that robot fly every sixteenth course anew; exit
+    code 1 if its flights differ from the recording.
 
     \f
     Raises:
@@ -408,7 +408,7 @@ def replay(
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
         # only a robot that the user names: the default one may not be that of the recording
-        if weights is not None or was_given("robot"):
+        if weights is not None or was_given("robot") or brakes:
             filmed = robot_settings
             count, differing = fly_anew(recording, work, crew)
             notes[ANEW] = f"{count - len(differing)} of {count} flights"

@@ -231,7 +231,10 @@ def read_recording(path: Path) -> Recording:
     try:
         text = json.loads(read_bounded(path, MAX_MANIFEST_BYTES))
         if text["format"] != FORMAT:
-            raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
+            raise DatasetError(
+                f"{path}: has format {text['format']!a}, expected {FORMAT}; recordings of other "
+                "versions cannot be read: fly again"
+            )
         courses = []
         for entry in text["courses"]:
             settings = dict(entry["course"])
@@ -240,6 +243,8 @@ def read_recording(path: Path) -> Recording:
             if len(flights) != course.flights:
                 raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
             courses.append((course, flights))
+        if not courses:
+            raise ValueError("without flights")
         names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
         suite, whole = text["suite"], bool(text.get("complete"))
         return Recording(suite=suite and printable(suite), complete=whole, courses=courses, **names)

@@ -20,7 +20,7 @@ from scenegen.worlds.tables import check_name, field_names, from_table
 NAME = "scenegen/Fly-v0"
 MAX_PERIODS = 10
 MAX_WORLDS = 4096
-OPTIONS = tuple(sorted(field_names(Course) - {"world", "seed", "flights", "document"}))
+OPTIONS = tuple(sorted(field_names(Course) - {"world", "seed", "flights", "document", "level"}))
 """Fields of a course that are options of the environment; it sets the others itself."""
 RESET_OPTIONS = ("seed", "world", "difficulty")
 

@@ -227,8 +227,8 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
         within = points[((points > low) & (points < high)).all(axis=1)]
         assert len(within) > 20
         assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
-    replay = f"fly replay {file} --workers 1 --robot"
-    second = json.loads(done(capsys, f"{replay} reactive --film {again} --json"))
+    replay = f"fly replay {file} --workers 1 --robot reactive"
+    second = json.loads(done(capsys, f"{replay} --film {again} --json"))
     assert again.read_bytes() == film.read_bytes()
     assert digests_of(second) == digests_of(first)
     assert second[ANEW] == "1 of 1 flights"
@@ -240,8 +240,13 @@ def test_the_command_flies_and_flies_again(capsys, tmp_path, monkeypatch):
     speed, clearance = filmed["film"]["curves"].values()
     assert len(speed) == len(flown.commands) + 1
     assert min(clearance) == pytest.approx(flown.min_clearance_m, abs=1e-3)
-    for robot, shown in (("optimistic", "0 of 1 flights"), ("no_such:Robot", "no_such")):
-        code, said, line = run(capsys, f"{replay} {robot}")
+    cases = (
+        ("--robot optimistic", "0 of 1 flights"),
+        ("--brakes", "0 of 1 flights"),  # of the default robot
+        ("--robot no_such:Robot", "no_such"),
+    )
+    for robot, shown in cases:
+        code, said, line = run(capsys, f"fly replay {file} --workers 1 {robot}")
         assert (code, shown in said) == (1, True)
         check_wording(robot, line.strip().splitlines()[-1])
     monkeypatch.setattr(flights, "fly_again", None)  # nothing is flown in vain
@@ -339,6 +344,7 @@ def test_entries_to_a_suite_go_on(capsys, tmp_path, monkeypatch):
     shown = page.read_text()
     assert f"drawn: {part}" in shown
     assert "success, blocked line" in shown
+    assert "reactive, latency 0.1 s" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
     assert shown.count("src='better.html'") == shown.count("<iframe") == 1
     assert "98765." not in shown  # scores follow from what was flown

@@ -486,7 +486,8 @@ def test_a_recording_flies_again(rules, tmp_path):
     }
     damaged = [content.replace(*change) for change in changes.items()]
     assert content not in damaged
-    for case, wrong in enumerate((b"{}", b"[1]", b"x", *damaged)):
+    empty = entry_of().encoded()
+    for case, wrong in enumerate((b"{}", b"[1]", b"x", *damaged, empty)):
         file.write_bytes(wrong)
         refuses(case, read_recording, file, error=DatasetError)
     file.write_bytes(content.replace(course.sha256.encode(), b"0" * 64))
