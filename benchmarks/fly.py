@@ -59,8 +59,7 @@ LATENCY_S = {
     "anywhere, brakes at 0.5": 3 * STEP_S,
 }
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
-benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch. `anywhere`
-with doubt was not: it has the figure of that with brakes."""
+benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch."""
 Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
 DECISION = "decision, ms"
