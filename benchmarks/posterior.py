@@ -12,7 +12,7 @@ far it has gone is shown by chains that begin elsewhere.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,42 @@ DENSITY, HALVES, ROUND, OBLONG, MOST_RATIO, SHARE, GAPS, SIZE, HEIGHT, CLEAR_M, 
     0, 2, 4, 5, 6, 7, 8, 10, 12, 13, 14,
 )  # fmt: skip
 """The places of the prior's parameters in one array; ranges take two."""
+
+
+class Seen(NamedTuple):
+    """A scan's rays, the grid, what the scan made known, and the voxels that rays cross."""
+
+    position: Any
+    directions: Any
+    range_m: Any
+    origin: Any
+    voxel_m: Any
+    shape: Any
+    state: Any
+    cells: Any
+    enters: Any
+    starts: Any
+
+
+class State(NamedTuple):
+    """A world and its scan; all arrays change in place."""
+
+    numbers: Any
+    forms: Any
+    ranges: Any
+    """(rays,): metres; inf without a return."""
+    owners: Any
+    """(rays,): the pillar that returned it, or -1."""
+    crossed: Any
+    """(rays,): voxels of its path that the ray crosses."""
+    ends: Any
+    """(rays,): the voxel of its return, or -1."""
+    crossings: Any
+    """(voxels,): rays that cross each."""
+    hits: Any
+    """(voxels,): returns in each."""
+
+
 MOVES = "redraw", "nudge", "reshape", "number", "exchange", "passage"
 
 
@@ -192,51 +228,51 @@ def slope(row, made, x, y):
 
 
 @kernel
-def end_of(ray, t, position, directions, range_m, origin, voxel_m, shape, enters, starts):
+def end_of(ray, t, seen):
     """How many voxels of its path a ray of length `t` crosses, and the voxel of its return, or -1;
     lengths are rounded as scans have them."""
     t = float(np.float32(t))
-    returns = t <= range_m
-    reach = t if returns else range_m
-    low, high = starts[ray], starts[ray + 1]
+    returns = t <= seen.range_m
+    reach = t if returns else seen.range_m
+    low, high = seen.starts[ray], seen.starts[ray + 1]
     while low < high:
         middle = (low + high) // 2
-        if enters[middle] < reach - TOUCH_M:
+        if seen.enters[middle] < reach - TOUCH_M:
             low = middle + 1
         else:
             high = middle
     cell = -1
     if returns:
-        cell = cell_at(
-            position, directions[ray], reach, origin, voxel_m, shape[0], shape[1], shape[2]
-        )
-    return low - starts[ray], cell
+        nx, ny, nz = seen.shape
+        direction = seen.directions[ray]
+        cell = cell_at(seen.position, direction, reach, seen.origin, seen.voxel_m, nx, ny, nz)
+    return low - seen.starts[ray], cell
 
 
 @kernel
-def changed(cell, crossings, hits, state):
+def changed(cell, world, seen):
     """1 if the counts of a voxel say other than its state, else 0."""
-    said = 2 if hits[cell] > 0 else 1 if crossings[cell] > 0 else 0
-    return 1 if said != state[cell] else 0
+    said = 2 if world.hits[cell] > 0 else 1 if world.crossings[cell] > 0 else 0
+    return 1 if said != seen.state[cell] else 0
 
 
 @kernel
-def turn(ray, crossed, ends, to_crossed, to_end, cells, starts, crossings, hits, state):
+def turn(ray, to_crossed, to_end, world, seen):
     """Change what a ray crosses and where it ends; return by how many voxels more or fewer the
     counts say other than the scan did."""
-    wrong, first = 0, starts[ray]
-    for n in range(min(crossed[ray], to_crossed), max(crossed[ray], to_crossed)):
-        cell = cells[first + n]
-        wrong -= changed(cell, crossings, hits, state)
-        crossings[cell] += 1 if to_crossed > crossed[ray] else -1
-        wrong += changed(cell, crossings, hits, state)
-    if ends[ray] != to_end:
-        for cell, by in ((ends[ray], -1), (to_end, 1)):
+    wrong, first, crossed = 0, seen.starts[ray], world.crossed[ray]
+    for n in range(min(crossed, to_crossed), max(crossed, to_crossed)):
+        cell = seen.cells[first + n]
+        wrong -= changed(cell, world, seen)
+        world.crossings[cell] += 1 if to_crossed > crossed else -1
+        wrong += changed(cell, world, seen)
+    if world.ends[ray] != to_end:
+        for cell, by in ((world.ends[ray], -1), (to_end, 1)):
             if cell >= 0:
-                wrong -= changed(cell, crossings, hits, state)
-                hits[cell] += by
-                wrong += changed(cell, crossings, hits, state)
-    crossed[ray], ends[ray] = to_crossed, to_end
+                wrong -= changed(cell, world, seen)
+                world.hits[cell] += by
+                wrong += changed(cell, world, seen)
+    world.crossed[ray], world.ends[ray] = to_crossed, to_end
     return wrong
 
 
@@ -399,46 +435,53 @@ def try_move(move, count, numbers, prior, forms, position, close, nearby, rng):
 
 
 @kernel
-def begin(
-    count, prior, numbers, forms, ranges, owners, crossed, ends, crossings, hits, position,
-    directions, range_m, origin, voxel_m, shape, state, cells, enters, starts,
-):  # fmt: skip
+def begin(count, prior, world, seen):
     """Cast all rays in a world, in place; return the count of wrong voxels."""
+    numbers, forms = world.numbers, world.forms
     for k in range(count):
         form(k, numbers, forms, prior)
     wrong = 0
-    for cell in range(len(state)):  # before the first ray, nothing is known
-        wrong += changed(cell, crossings, hits, state)
-    for ray in range(len(ranges)):
+    for cell in range(len(seen.state)):  # before the first ray, nothing is known
+        wrong += changed(cell, world, seen)
+    for ray in range(len(world.ranges)):
         for k in range(count):
-            found = range_to(numbers[k], forms[k], prior[HEIGHT], position, directions[ray])
-            if found < ranges[ray] and found <= range_m:
-                ranges[ray], owners[ray] = found, k
-        to_crossed, to_end = end_of(
-            ray, ranges[ray], position, directions, range_m, origin, voxel_m, shape, enters, starts
-        )
-        wrong += turn(ray, crossed, ends, to_crossed, to_end, cells, starts, crossings, hits, state)
+            t = range_to(numbers[k], forms[k], prior[HEIGHT], seen.position, seen.directions[ray])
+            if t < world.ranges[ray] and t <= seen.range_m:
+                world.ranges[ray], world.owners[ray] = t, k
+        to_crossed, to_end = end_of(ray, world.ranges[ray], seen)
+        wrong += turn(ray, to_crossed, to_end, world, seen)
     return wrong
 
 
 @kernel
-def walk(
-    steps, rng, sharpness, chances, prior, count, numbers, forms, ranges, owners, crossed, ends,
-    crossings, hits, wrong, position, directions, range_m, origin, voxel_m, shape, state, cells,
-    enters, starts, tried, taken,
-):  # fmt: skip
+def recast(t, owner, direction, position, height, moved, close, nearby, after, numbers, forms):
+    """Where a ray ends once pillars have `moved`, and at which pillar."""
+    lost = owner >= 0 and (moved[owner] or owner >= after)
+    if lost:
+        t, owner = math.inf, -1
+    for n in range(nearby):
+        k = close[n]
+        if lost or moved[k]:
+            met = range_to(numbers[k], forms[k], height, position, direction)
+            if met < t:
+                t, owner = met, k
+    return t, owner
+
+
+@kernel
+def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried, taken):
     """Take so many steps, in place; return the count of pillars, and of wrong voxels.
 
     With a finite `sharpness`, a world whose scan differs in n voxels is e^(-sharpness n) as likely
     as one that looks the same.
     """
+    # arrays that are read for every ray: out of a tuple, each reading would take as long again
+    numbers, forms, ranges, owners = world.numbers, world.forms, world.ranges, world.owners
+    position, directions, range_m = seen.position, seen.directions, seen.range_m
     rays, most = len(ranges), len(numbers)
     old_numbers, old_forms = numbers.copy(), forms.copy()
-    moved, close, closer = (
-        np.zeros(most, np.bool_),
-        np.empty(most, np.int64),
-        np.empty(most, np.int64),
-    )
+    moved, close = np.zeros(most, np.bool_), np.empty(most, np.int64)
+    closer = np.empty(most, np.int64)
     nearby = near_ones(count, forms, position, range_m, close)
     list_of, old_t = np.empty(rays, np.int64), np.empty(rays)
     old_owner, old_crossed = np.empty(rays, np.int64), np.empty(rays, np.int64)
@@ -453,7 +496,7 @@ def walk(
         done = 0
         fits = first >= 0 and math.log(rng.random()) < ratio
         threshold = math.log(rng.random())
-        seen = False
+        is_seen = False
         if fits:
             moved[:] = False
             for k in range(first, max(count, after)):
@@ -468,59 +511,40 @@ def walk(
                     continue
                 moved[k] = True
                 if k < count:
-                    seen = seen or is_near(old_forms[k], position, range_m)
+                    is_seen = is_seen or is_near(old_forms[k], position, range_m)
                 if k < after:
                     form(k, numbers, forms, prior)
-                    seen = seen or is_near(forms[k], position, range_m)
+                    is_seen = is_seen or is_near(forms[k], position, range_m)
                     if apart(numbers[k], forms[k], position[0], position[1]) < prior[CLEAR_M]:
                         fits = False
                         break
         still = nearby
-        if fits and seen:
+        if fits and is_seen:
             still = near_ones(after, forms, position, range_m, closer)
             # a proposal that were not as likely the other way round
             if move in (1, 2) and (still != nearby or not is_near(forms[first], position, range_m)):
                 fits = False
-        if fits and seen:
+        if fits and is_seen:
             for ray in range(rays):
-                t, owner = ranges[ray], owners[ray]
-                if owner >= 0 and (moved[owner] or owner >= after):
-                    t, owner = math.inf, -1
-                    for n in range(still):
-                        k = closer[n]
-                        found = range_to(
-                            numbers[k], forms[k], prior[HEIGHT], position, directions[ray]
-                        )
-                        if found < t:
-                            t, owner = found, k
-                else:
-                    for n in range(still):
-                        k = closer[n]
-                        if moved[k]:
-                            found = range_to(
-                                numbers[k], forms[k], prior[HEIGHT], position, directions[ray]
-                            )
-                            if found < t:
-                                t, owner = found, k
+                t, owner = recast(
+                    ranges[ray], owners[ray], directions[ray], position, prior[HEIGHT], moved,
+                    closer, still, after, numbers, forms,
+                )  # fmt: skip
                 if t > range_m:
                     t, owner = math.inf, -1
                 if t == ranges[ray] and owner == owners[ray]:
                     continue
-                list_of[done], old_t[done], old_owner[done] = ray, ranges[ray], owners[ray]
-                old_crossed[done], old_end[done] = crossed[ray], ends[ray]
-                done += 1
-                to_crossed, to_end = end_of(
-                    ray, t, position, directions, range_m, origin, voxel_m, shape, enters, starts
-                )
+                to_crossed, to_end = end_of(ray, t, seen)
                 # a return elsewhere than the scan's can never be made good
-                if sharpness == math.inf and to_end >= 0 and state[to_end] != 2:
+                if sharpness == math.inf and to_end >= 0 and seen.state[to_end] != 2:
                     fits = False
-                    done -= 1
                     break
-                ranges[ray], owners[ray] = t, owner
-                wanted += turn(
-                    ray, crossed, ends, to_crossed, to_end, cells, starts, crossings, hits, state
-                )
+                list_of[done], old_t[done] = ray, world.ranges[ray]
+                old_owner[done], old_end[done] = world.owners[ray], world.ends[ray]
+                old_crossed[done] = world.crossed[ray]
+                done += 1
+                world.ranges[ray], world.owners[ray] = t, owner
+                wanted += turn(ray, to_crossed, to_end, world, seen)
             if fits and wanted > wrong:
                 fits = sharpness < math.inf and threshold < -sharpness * (wanted - wrong)
         if fits:
@@ -530,18 +554,15 @@ def walk(
             # pillars that only changed their description keep their form, not their numbers
             old_numbers[first], old_forms[first] = numbers[first], forms[first]
             count, wrong = after, wanted
-            if seen:
+            if is_seen:
                 nearby = still
                 close[:still] = closer[:still]
             taken[move] += 1
             continue
         for n in range(done):
             ray = list_of[n]
-            turn(
-                ray, crossed, ends, old_crossed[n], old_end[n], cells, starts, crossings, hits,
-                state,
-            )  # fmt: skip
-            ranges[ray], owners[ray] = old_t[n], old_owner[n]
+            turn(ray, old_crossed[n], old_end[n], world, seen)
+            world.ranges[ray], world.owners[ray] = old_t[n], old_owner[n]
         for k in range(max(count, after)):
             numbers[k], forms[k] = old_numbers[k], old_forms[k]
     return count, wrong
@@ -563,44 +584,41 @@ class Chain:
         self.looked, self.prior = looked, prior
         self._rng = np.random.default_rng(seed)
         self.count = len(numbers)
-        self.numbers = np.zeros((most_pillars(prior), NUMBERS))
-        self.numbers[: self.count] = numbers
-        self.forms = np.zeros((len(self.numbers), FORM))
         rays, voxels = len(looked.directions), len(looked.state)
-        self._rays: list[Any] = [np.full(rays, np.inf), np.full(rays, -1)]
-        self._rays += [np.zeros(rays, np.int64), np.full(rays, -1)]
-        self._counts = np.zeros(voxels, np.int32), np.zeros(voxels, np.int32)
+        most = most_pillars(prior)
+        self._world = State(
+            numbers=np.zeros((most, NUMBERS)),
+            forms=np.zeros((most, FORM)),
+            ranges=np.full(rays, np.inf),
+            owners=np.full(rays, -1),
+            crossed=np.zeros(rays, np.int64),
+            ends=np.full(rays, -1),
+            crossings=np.zeros(voxels, np.int32),
+            hits=np.zeros(voxels, np.int32),
+        )
+        self._world.numbers[: self.count] = numbers
+        grid = looked.grid
+        self._seen = Seen(
+            *(looked.position, looked.directions, looked.range_m),
+            *(looked.origin, grid.voxel_m, np.array(grid.shape)),
+            *(looked.state, *looked.paths),
+        )
         self.tried, self.taken = np.zeros((2, len(MOVES)), np.int64)
-        self._begin()
-
-    def _begin(self) -> None:
-        """Cast all rays of the first world."""
-        world = self.count, self.prior, self.numbers, self.forms
-        arguments: Any = *world, *self._rays, *self._counts, *self._where()
-        self.wrong = begin(*arguments)
-
-    def _where(self) -> Any:
-        """The rays, the grid, what was seen, and the rays' paths, as kernels take them."""
-        seen = self.looked
-        rays = seen.position, seen.directions, seen.range_m
-        grid = seen.origin, seen.grid.voxel_m, np.array(seen.grid.shape)
-        return *rays, *grid, seen.state, *seen.paths
+        self.wrong = begin(self.count, prior, self._world, self._seen)
 
     def walk(self, steps: int, sharpness: float = math.inf) -> None:
         """Take so many steps; see `walk`."""
-        how = steps, self._rng, sharpness, self.chances, self.prior
-        world = self.count, self.numbers, self.forms, *self._rays, *self._counts, self.wrong
-        arguments: Any = *how, *world, *self._where(), self.tried, self.taken
+        how = steps, self._rng, sharpness, self.chances, self.prior, self.count, self.wrong
+        arguments: Any = *how, self._world, self._seen, self.tried, self.taken
         self.count, self.wrong = walk(*arguments)
 
     def world(self) -> tuple[Floats, Floats]:
         """The numbers and forms of the pillars now."""
-        return self.numbers[: self.count].copy(), self.forms[: self.count].copy()
+        return self._world.numbers[: self.count].copy(), self._world.forms[: self.count].copy()
 
     def state(self) -> Any:
         """What the scan of the world now makes known, as `Looked.state`, (voxels,)."""
-        crossings, hits = self._counts
-        return np.where(hits > 0, 2, crossings > 0).astype(np.int8)
+        return np.where(self._world.hits > 0, 2, self._world.crossings > 0).astype(np.int8)
 
     def clear(self) -> bool:
         """Whether all pillars keep clear of the sensor."""

@@ -62,7 +62,13 @@ class _Motions:
         self._closed, self._voxel_m = closed, voxel_m
 
     def motion_is_free(self, p: Vector, q: Vector, radius_m: float) -> bool:
-        """Test whether a straight line meets no closed voxel, at points half a voxel apart."""
+        """Test whether a straight line meets no closed voxel, at points half a voxel apart.
+
+        Args:
+            p: Its start (3,), metres from the fence's least corner.
+            q: Its end (3,).
+            radius_m: Not needed: closed voxels are as much larger.
+        """
         return bool(_is_free(self._closed, self._voxel_m, p, q))
 
 

@@ -185,7 +185,15 @@ def named(course: Course) -> Course:
 
 
 def late(course: Course, latency_s: float) -> Course:
-    """Return a course on which decisions come as late as this, seconds."""
+    """Return a course on which decisions come late.
+
+    Args:
+        course: The course.
+        latency_s: How late, seconds.
+
+    Returns:
+        The course, else the same.
+    """
     return replace(course, rules=replace(course.rules, latency_s=latency_s))
 
 
