@@ -27,8 +27,7 @@ def here(folders, standing, monkeypatch):
     """A user's folder with the examples, to stand in."""
     monkeypatch.syspath_prepend(standing)
     for path in (ROOT / "docs" / "examples").glob("*.py"):
-        # the one that trains a policy also says what it sees, and tests it
-        assert len(path.read_text().splitlines()) <= (85 if path.stem == "learn" else 60)
+        assert len(path.read_text().splitlines()) <= 60
         shutil.copy(path, standing)
     (standing / "data").symlink_to(folders[0])
     return standing

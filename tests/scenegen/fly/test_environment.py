@@ -13,7 +13,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED
 from scenegen.base.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course
-from tests.command_line import page
+from tests.command_line import ROOT, page
 from tests.conftest import hall_in
 from tests.scenegen import cases
 
@@ -160,6 +160,7 @@ def test_stable_baselines_checks_it_and_learns(monkeypatch, tmp_path):
     from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(ROOT / "docs" / "examples")
     names = {"__name__": "learn"}
     exec(page("examples/learn.py"), names)
     check_env(made(world="pillar"))
