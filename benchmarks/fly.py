@@ -1,47 +1,53 @@
 """Does completing the scene help a robot that moves? Robots fly the suite: docs/results/fly.md.
 
-    python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks: fly.csv
-    python benchmarks/fly.py ENTRIES --every 1 --robots "optimistic, brakes" "my_net.onnx, brakes"
-    python benchmarks/fly.py ENTRIES --every 1 --tracks movers unseen     # fly-movers.csv, …
-    python benchmarks/fly.py ENTRIES --every 1 --tracks places --maps MAPS
+    python benchmarks/fly.py                        # the tables, from fly-flights.csv.gz
+    python benchmarks/fly.py ENTRIES --maps MAPS    # first flies what ENTRIES lacks
+    python benchmarks/fly.py ENTRIES --runs drawn unseen --robots "optimistic, brakes"
 
-ENTRIES is a folder with an entry of each track and robot, as `scenegen fly suite` writes them; one
-that is there goes on. Every tenth course of `drawn` is one world of each kind and level. A name
-that is no robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the
-last scan alone, and as `sampling:NETWORK`, the robot plans by RRT*. A name may end in ", brakes",
-or in ", brakes at 0.5" (the doubt). Decisions are timed in this process alone. With --charged, each
-robot's decisions come as late as they took when they were measured.
+A run of the plan (benchmarks/fly.md) is a track of the suite, or 60 worlds of it, with something
+that differs. ENTRIES is a folder with a recording of each run and robot; one that is there is not
+flown again, and an entry to the suite goes on. Rows of other runs and robots stay in the file of
+flights.
+A network's robot completes all scans; as `returns:NETWORK`, only the last one; as
+`sampling:NETWORK`, it plans by RRT*. The end ", brakes" stands for --brakes, ", brakes at 0.5" for
+--brakes --doubt 0.5.
 """
 
+import csv
+import gzip
+import io
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Literal
+from typing import Any, NamedTuple
 
 import measuring
 import numpy as np
+from numpy.typing import NDArray
+from places import PLACES
 from scoring import RESULTS, publish, titled, told
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats
 from scenegen.base.workers import ALONE
 from scenegen.dataset.locate import file_sha256
-from scenegen.fly.course import Course
-from scenegen.fly.loop import Flown
+from scenegen.fly.course import Course, read_recording
 from scenegen.fly.motion import STEP_S
 from scenegen.fly.simulation import HITS
-from scenegen.fly.suite import KINDS, LEVELS, SUITE, TRAFFIC, UNSEEN, chosen_courses, frozen, late
+from scenegen.fly.suite import (
+    SUITE,
+    VEHICLE,
+    WORLDS,
+    chosen_courses,
+)
+from scenegen.model.bench.statistics import holm, paired_p, summarise
 from scenegen.model.completion.completer import locate
 from scenegen.model.robots import NAMES, WITH_NETWORK, robot_name, split_robot_name
 from scenegen.model.robots.flights import crew_of, fly_course, fly_courses
 
-ROBOTS = (
-    *("truth", "optimistic", "optimistic, brakes", "extrude, brakes", "returns", "reactive"),
-    *("columns, brakes", "anywhere", "anywhere, brakes", "anywhere, brakes at 0.5"),
-)
-BASELINES = ("optimistic, brakes", "extrude, brakes")
 LATENCY_S = {
     "reactive": 1 * STEP_S,
     "truth": 1 * STEP_S,
@@ -57,77 +63,134 @@ LATENCY_S = {
     "anywhere": 4 * STEP_S,
     "anywhere, brakes": 3 * STEP_S,
     "anywhere, brakes at 0.5": 3 * STEP_S,
+    "anywhere, RRT*, brakes": 3 * STEP_S,
 }
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
 benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch."""
-Found = dict[str, dict[str, Floats]]
-"""By robot and figure, of every flight, (flights,)."""
-DECISION = "decision, ms"
-"""Told without an interval: by the clock, beside other work."""
-FIGURES: dict[str, Callable[[Flown], float]] = {
-    "success": lambda one: one.outcome == "success",
-    "success, blocked line": lambda one: one.outcome == "success" if one.blocked else np.nan,
-    "collision": lambda one: one.outcome in HITS,
-    "progress": lambda one: one.progress,
-    "score": lambda one: one.score,
-    "path ratio": lambda one: one.ratio if one.outcome == "success" else np.nan,
-    "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
-    "mean clearance, m": lambda one: one.mean_clearance_m,
-    "jerk, m/s³": lambda one: one.jerk_mps3,
-    DECISION: lambda one: 1e3 * one.step_s,
+
+
+class Run(NamedTuple):
+    """Who flies where, and what differs from the suite."""
+
+    robots: Sequence[str]
+    track: str = "drawn"
+    some: bool = False
+    """Only the first `SOME` worlds of each kind and level."""
+    vehicle: Mapping[str, Any] = {}
+    rules: Mapping[str, Any] = {}
+    """Without a latency, that of the robot is charged."""
+    noise: str = ""
+
+
+SOME = 2
+VLP_16 = "range:0.03,quantise:0.002"
+"""What Velodyne's data sheet says; the suite's own sensor has none."""
+PAIR = ("optimistic, brakes", "anywhere, brakes")
+SIX = ("truth", *PAIR, "extrude, brakes", "columns, brakes", "anywhere")
+FIVE = tuple(name for name in SIX if name != "columns, brakes")
+ALL = (*SIX, "optimistic", "anywhere, brakes at 0.5", "returns", "reactive")
+AT_SPEEDS = {"1 m/s": 1.0, "2 m/s": 2.0, "6 m/s": 6.0, "8 m/s": 8.0}
+"""Runs at other speeds than the suite's, m/s."""
+VARIED = {
+    "drift": Run(PAIR, some=True, rules={"drift_m": 0.6, "drift_deg": 0.2}),
+    "noise": Run(PAIR, some=True, noise=VLP_16),
+    "no latency": Run(PAIR, some=True, rules={"latency_s": 0.0}),
+    "latency 0.1 s": Run(PAIR, some=True, rules={"latency_s": 0.1}),
+    "latency 0.2 s": Run(PAIR, some=True, rules={"latency_s": 0.2}),
+    "RRT*": Run(("sampling, brakes", "sampling:anywhere, brakes"), some=True),
 }
+RUNS: dict[str, Run] = {
+    "drawn": Run(ALL),
+    **{track: Run(SIX, track) for track in ("unseen", "movers", "places")},
+    **{
+        title: Run(FIVE, some=True, vehicle={"speed_mps": speed})
+        for title, speed in AT_SPEEDS.items()
+    },
+    **VARIED,
+}
+
+
+class Claim(NamedTuple):
+    """A hypothesis of the plan: that `first` differs from `second` in this direction."""
+
+    run: str
+    first: str
+    second: str
+    figure: str
+    sign: int = 1
+
+
+BLOCKED = "score, blocked line"
+CLAIMS = {
+    "H1": Claim("drawn", "anywhere, brakes", "optimistic, brakes", BLOCKED),
+    "H2": Claim("unseen", "anywhere, brakes", "optimistic, brakes", BLOCKED),
+    "H3": Claim("movers", "anywhere, brakes", "optimistic, brakes", "score"),
+    "H4": Claim("places", "anywhere, brakes", "optimistic, brakes", "collision", -1),
+    "H5": Claim("drawn", "anywhere, brakes", "extrude, brakes", BLOCKED),
+    "H6": Claim("drawn", "anywhere, brakes at 0.5", "anywhere, brakes", "score"),
+    "H7": Claim("drawn", "anywhere, brakes", "anywhere", "success"),
+    "H8": Claim("unseen", "columns, brakes", "anywhere, brakes", BLOCKED, -1),
+}
+LEAST = {"success": 0.03, "collision": 0.03, "score": 0.01, BLOCKED: 0.01}
+"""The smallest differences of interest."""
+TIME = "time, of the shortest"
+Rows = dict[str, NDArray[Any]]
+"""Flights by column, (flights,)."""
+FIGURES: dict[str, Callable[[Rows], Any]] = {
+    "success": lambda rows: rows["outcome"] == "success",
+    "success, blocked line": lambda rows: np.where(rows["blocked"], rows["success"], np.nan),
+    "collision": lambda rows: np.isin(rows["outcome"], HITS),
+    "progress": lambda rows: rows["progress"],
+    "score": lambda rows: rows["score"],
+    BLOCKED: lambda rows: np.where(rows["blocked"], rows["score"], np.nan),
+    "path ratio": lambda rows: np.where(rows["success"], rows["ratio"], np.nan),
+    TIME: lambda rows: np.where(rows["success"], rows["time_s"] / rows["shortest_s"], np.nan),
+    "mean clearance, m": lambda rows: rows["mean_clearance_m"],
+}
+"""Made in this order; the first is there for the others."""
 OUTCOMES = ("success", "success, blocked line", "collision")
 """Figures that are 1 or 0."""
-GAINS = ("success", "progress", "score")
+BASELINES = ("optimistic, brakes", "extrude, brakes")
+GAINS = ("success", "collision", "progress", "score", BLOCKED)
 """Figures of which differences are told."""
-BY_GROUP = ("success", "score", "progress", "time, s")
-"""Figures that are told for every difficulty and kind, too."""
+NUMBERS = (
+    *("blocked", "score", "progress", "time_s", "shortest_s", "ratio", "mean_clearance_m"),
+    *("min_clearance_m",),
+)
+COLUMNS = ("run", "robot", "world", "level", "seed", "mission", "outcome", *NUMBERS, "digest")
 
 
 class Options(measuring.Options):
     """Who flies, and where."""
 
     entries: Positional[Path | None] = None
-    """folder of the entries"""
-    every: int = 10
+    """folder of the recordings; without it, nothing is flown"""
+    runs: Sequence[str] = tuple(RUNS)
+    robots: Sequence[str] | None = None
+    """some of those of the plan; by default all"""
+    every: int = 1
     """one of so many courses"""
-    tracks: Sequence[str] = ("drawn",)
     maps: Path | None = None
     """folder of the maps of the track places"""
-    robots: Sequence[str] = ROBOTS
-    dynamics: Literal["kinematic", "mujoco"] = "kinematic"
-    """of the vehicle"""
-    charged: bool = False
-    """decisions come late by `LATENCY_S`"""
-    figures: Path | None = None
+    exported: Path | None = None
+    """folder of the bundled networks as `scenegen export` writes them, which are faster"""
+    flights: Path = RESULTS / "fly-flights.csv.gz"
+    figures: Path = RESULTS / "fly.csv"
 
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them beside the page."""
-    given = measuring.parse(Options, every=300, robots=["reactive", "optimistic, brakes"])
-    for track in given.tracks:
-        name = "fly.csv" if track == "drawn" else f"fly-{track}.csv"
-        measured(track, replace(given, figures=given.figures or RESULTS / name))
-
-
-def measured(track: str, given: Options) -> None:
-    """Fly what is missing of a track; print its tables, and write them."""
+    given = measuring.parse(
+        Options, every=300, runs=["drawn"], robots=["reactive", "optimistic, brakes"]
+    )
     with tempfile.TemporaryDirectory() as spare:
-        courses = [
-            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics))
-            for one in chosen_courses(track, given.maps, quick=False)[:: given.every]
-        ]
-        found: Found = {}
-        for name in given.robots:
-            latency_s = LATENCY_S[parts(name)[2]] if given.charged else 0.0
-            own = [late(one, latency_s) for one in courses]
-            found |= flown(name, own, track, given.entries or Path(spare))
-    of_each = [course for course in courses for _ in range(course.flights)]
-    worlds = [course.sha256 for course in of_each]
-    lines = robots(found, worlds)
-    for base in BASELINES:
-        lines += less(base, found, worlds) if base in found else []
-    publish(given, [*lines, *by_groups(found, of_each)])
+        entries = given.entries or (Path(spare) if given.smoke else None)
+        file = Path(spare) / given.flights.name if given.smoke else given.flights
+        for title in given.runs if entries else ():
+            for name in given.robots or RUNS[title].robots:
+                keep(flown(title, name, Path(str(entries)), given), file)
+        runs = by_run(file)
+    publish(given, [*claims(runs), *curves(runs), *variations(runs), *tracks(runs)])
 
 
 def parts(name: str) -> tuple[str, str | None, str, float | None]:
@@ -144,63 +207,257 @@ def parts(name: str) -> tuple[str, str | None, str, float | None]:
     return robot, network, robot_name(title, brakes), brakes
 
 
-def flown(name: str, courses: Sequence[Course], track: str, entries: Path) -> Found:
-    """The figures of a robot's flights through all courses; those that its entry holds are not
-    flown."""
-    robot, weights, title, brakes = parts(name)
+def courses_of(title: str, robot: str, given: Options) -> list[Course]:
+    """The courses of a run for a robot of this title."""
+    run = RUNS[title]
+    every = chosen_courses(run.track, given.maps if run.track == "places" else None, quick=False)
+    if run.some:  # worlds of a kind and level follow one another
+        every = [one for n, one in enumerate(every) if n % WORLDS["drawn"] < SOME]
+    rules = {"latency_s": LATENCY_S[robot], **run.rules}
+    return [
+        replace(
+            one,
+            vehicle=replace(one.vehicle, **run.vehicle),
+            rules=replace(one.rules, **rules),
+            noise=run.noise,
+        )
+        for one in every[:: given.every]
+    ]
+
+
+def flown(title: str, name: str, entries: Path, given: Options) -> list[list[Any]]:
+    """A row for each flight of a robot; those that its recording holds are not flown."""
+    robot, network, called, brakes = parts(name)
+    exported = given.exported and network and given.exported / f"{network}.onnx"
+    if exported and exported.is_file():
+        network = str(exported)
+    courses = courses_of(title, called, given)
     entries.mkdir(parents=True, exist_ok=True)
-    entry = entries / f"{track}-{title.replace(', ', '-')}.json"
-    work = partial(fly_course, robot=robot, weights=weights, brakes=brakes)
-    network = file_sha256(locate(weights)) if weights else ""
-    crew = crew_of(ALONE)
-    done = fly_courses(courses, work, title, SUITE, entry, crew, track=track, network=network)
-    flights = [one for _, several in done for one in several]
-    print(f"{name}: {len(flights)} flights", flush=True)
-    return {title: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}}
-
-
-def robots(found: Found, worlds: Sequence[str]) -> list[str]:
-    """Every robot's figures; intervals are over worlds."""
-    rows = []
-    for name, figures in found.items():
-        cells = [
-            told(values, worlds, ".3f", "outcome" if title in OUTCOMES else "amount")
-            for title, values in figures.items()
+    file = entries / f"{title}-{called.replace(', ', '-')}.json"
+    work = partial(fly_course, robot=robot, weights=network, brakes=brakes)
+    if title == (track := RUNS[title].track):
+        sha256 = file_sha256(locate(network)) if network else ""
+        done = fly_courses(
+            courses, work, called, SUITE, file, crew_of(ALONE), track=track, network=sha256
+        )
+    elif file.exists():
+        done = read_recording(file).courses
+    else:
+        done = fly_courses(courses, work, called, None, file, crew_of(ALONE))
+    print(f"{title}: {name}: {sum(len(several) for _, several in done)} flights", flush=True)
+    return [
+        [
+            *(title, called, Path(course.world).name, course.level, course.seed, mission),
+            *(one.outcome, int(one.blocked), f"{one.score:.5f}", f"{one.progress:.4f}"),
+            f"{one.time_s:.3f}",
+            f"{one.shortest_m / course.vehicle.speed_mps:.3f}",
+            *(f"{one.ratio:.4f}", f"{one.mean_clearance_m:.3f}", f"{one.min_clearance_m:.4f}"),
+            one.digest[:8],
         ]
-        cells[-1] = f"{figures[DECISION].mean():.1f}"
-        rows.append((f"`{name}`", cells))
-    return titled("## Robots", FIGURES, rows)
+        for course, several in done
+        for mission, one in enumerate(several)
+    ]
 
 
-def less(base: str, found: Found, worlds: Sequence[str]) -> list[str]:
-    """What every robot gains on the robot `base`, flight by flight."""
-    rows = (
-        (f"`{name}`", [told(one[what] - found[base][what], worlds, "+.3f") for what in GAINS])
-        for name, one in found.items()
-    )
-    return titled(f"## Flight by flight, less `{base}`", GAINS, rows)
+def keep(rows: Sequence[Sequence[Any]], path: Path) -> None:
+    """Put rows into the file of flights, in the place of those of the same run and robot."""
+    ours = {tuple(row[:2]) for row in rows}
+    old = [row for row in read(path) if tuple(row[:2]) not in ours] if path.exists() else []
+    order = [(title, parts(name)[2]) for title, run in RUNS.items() for name in run.robots]
+    every = sorted([*old, *rows], key=lambda row: order.index((row[0], row[1])))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *every])
+    path.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
 
 
-def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
-    """Some figures by difficulty and kind, or by map."""
+def read(path: Path) -> list[list[str]]:
+    """The rows of the file of flights."""
+    with gzip.open(path, "rt", encoding="utf-8", newline="") as text:
+        return [*csv.reader(text)][1:]
+
+
+def by_run(path: Path) -> dict[str, dict[str, Rows]]:
+    """The flights of each run and robot, with the figures of each."""
+    found: dict[str, dict[str, list[list[str]]]] = {}
+    for row in read(path):
+        found.setdefault(row[0], {}).setdefault(row[1], []).append(row)
+    return {
+        title: {name: measured(several) for name, several in robots.items()}
+        for title, robots in found.items()
+    }
+
+
+def measured(several: Sequence[Sequence[str]]) -> Rows:
+    """The columns and figures of a robot's flights through a run."""
+    rows: Rows = dict(zip(COLUMNS, np.array(several).T, strict=True))
+    rows |= {name: rows[name].astype(float) for name in NUMBERS}
+    courses = zip(rows["world"], rows["level"], rows["seed"], strict=True)
+    # of a drawn world, the flights through it; of a map, all through its place
+    rows["group"] = np.array([" ".join(one) if one[1] else place_of(one[0]) for one in courses])
+    for title, of in FIGURES.items():
+        rows[title] = np.asarray(of(rows), float)
+    return rows
+
+
+def place_of(world: str) -> str:
+    """The place of a map, or the world itself."""
+    return str(PLACES.get(Path(world).stem, {}).get("place", world))
+
+
+def by_group(rows: Rows, figure: str) -> Floats:
+    """The mean of a figure in each world or place, in the order of their names; NaN where no flight
+    has it."""
+    _, member = np.unique(rows["group"], return_inverse=True)
+    has = np.isfinite(rows[figure])
+    count = np.bincount(member, has)
+    total = np.bincount(member, np.where(has, rows[figure], 0.0))
+    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+
+
+def gain(first: Rows, second: Rows, figure: str) -> Floats:
+    """By how much a robot differs from another in each world."""
+    return by_group(first, figure) - by_group(second, figure)
+
+
+def shown(values: Floats, form: str = "+.3f") -> str:
+    """The mean of worlds' values, with its interval."""
+    return told(values, range(len(values)), form)
+
+
+def claims(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
+    """The verdict on each hypothesis of the plan whose flights are there."""
+    there = {
+        title: one
+        for title, one in CLAIMS.items()
+        if {one.first, one.second} <= runs.get(one.run, {}).keys()
+    }
+    gains = {
+        title: gain(runs[one.run][one.first], runs[one.run][one.second], one.figure)
+        for title, one in there.items()
+    }
+    rng = np.random.default_rng(0)
+    chances = [
+        paired_p(values, np.zeros_like(values), range(len(values)), rng=rng)
+        for values in gains.values()
+    ]
+    rows = []
+    for (title, one), values, p in zip(there.items(), gains.values(), holm(chances), strict=True):
+        cells = [one.run, f"`{one.first}` less `{one.second}`", one.figure, shown(values)]
+        also = (gain(runs[one.run][one.first], runs[one.run][one.second], "success"),)
+        rows.append((title, [*cells, f"{p:.4f}", verdict(one, values, p), *map(shown, also)]))
+    heads = ("run", "robots", "figure", "difference", "p (Holm)", "verdict", "success, difference")
+    return titled("## Hypotheses", heads, rows) if rows else []
+
+
+def verdict(claim: Claim, values: Floats, p: float) -> str:
+    """What a hypothesis's differences show, as the plan says."""
+    found = summarise(values, range(len(values)))
+    if p < 0.05:
+        return "shown" if found["mean"] * claim.sign > 0 else "contradicted"
+    most = found["high"] if claim.sign > 0 else -found["low"]
+    return "ruled out" if most < LEAST[claim.figure] else "open"
+
+
+def curves(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
+    """Success, score and time at every speed, in the worlds that are flown at all of them."""
+    speeds = AT_SPEEDS | {"drawn": VEHICLE.speed_mps}
+    there = sorted(speeds.keys() & runs.keys(), key=speeds.__getitem__)
     lines = []
-    for title, groups, keys in (
-        ("level", (*LEVELS, *TRAFFIC), [course.level for course in courses]),
-        ("kind", (*KINDS, *UNSEEN), [course.world for course in courses]),
-        ("map", [*frozen()["places"]], [Path(course.world).name for course in courses]),
-    ):
-        groups = [group for group in dict.fromkeys(groups) if group in keys]
-        for what in BY_GROUP if groups else ():
-            rows = []
-            for name, figures in found.items():
-                of_groups = (figures[what][np.array(keys) == group] for group in groups)
-                means = [
-                    f"{np.nanmean(values):.2f}" if np.isfinite(values).any() else "–"
-                    for values in of_groups
-                ]
-                rows.append((f"`{name}`", means))
-            lines += titled(f"## {what.capitalize()}, by {title}", groups, rows)
+    for figure in ("success", "score", TIME) if there[1:] else ():
+        rows = [
+            (
+                f"`{name}`",
+                [
+                    shown(by_group(some(runs[title][name]), figure), ".3f")
+                    if name in runs[title]
+                    else "–"
+                    for title in there
+                ],
+            )
+            for name in FIVE
+        ]
+        lines += titled(
+            f"## {figure.capitalize()}, by speed",
+            [f"{speeds[title]:g} m/s" for title in there],
+            rows,
+        )
     return lines
+
+
+def some(rows: Rows) -> Rows:
+    """The flights through the first `SOME` worlds of each kind and level."""
+    firsts: dict[tuple[str, str], list[str]] = {}
+    for world, level, seed in zip(rows["world"], rows["level"], rows["seed"], strict=True):
+        seeds = firsts.setdefault((world, level), [])
+        if seed not in seeds and len(seeds) < SOME:
+            seeds.append(seed)
+    named = zip(rows["world"], rows["level"], rows["seed"], strict=True)
+    chosen = np.array([seed in firsts[world, level] for world, level, seed in named])
+    return {name: values[chosen] for name, values in rows.items()}
+
+
+def variations(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
+    """What each variation changes, and what completion gains there, in the same worlds."""
+    lines, drawn = [], runs.get("drawn", {})
+    for figure in ("success", "score"):
+        rows = []
+        for title, run in {"none": RUNS["drawn"]._replace(robots=PAIR), **VARIED}.items():
+            flights = runs.get(title, {}) if title in VARIED else drawn
+            robots = [parts(name)[2] for name in run.robots]
+            if {*robots} <= flights.keys():
+                plain, completing = (some(flights[name]) for name in robots)
+                usual = [some(drawn[name]) for name in PAIR]
+                pairs = [(plain, usual[0]), (completing, usual[1]), (completing, plain)]
+                rows.append((title, [shown(gain(*pair, figure)) for pair in pairs]))
+        heads = [
+            f"`{PAIR[0]}`, changed by",
+            f"`{PAIR[1]}`, changed by",
+            "the second less the first",
+        ]
+        lines += titled(f"## {figure.capitalize()}, by variation", heads, rows) if rows[1:] else []
+    return lines
+
+
+def tracks(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
+    """Every robot's figures in each track, over worlds; what it gains on others, flight by flight;
+    and success and score by group."""
+    lines = []
+    for track in [title for title in runs if RUNS[title].track == title]:
+        robots = runs[track]
+        rows = [
+            (
+                f"`{name}`",
+                [
+                    told(flights[figure], flights["group"], ".3f", scale_of(figure))
+                    for figure in FIGURES
+                ],
+            )
+            for name, flights in robots.items()
+        ]
+        lines += titled(f"## Robots: {track}", FIGURES, rows)
+        for base in {*BASELINES} & robots.keys():
+            rows = [
+                (f"`{name}`", [shown(gain(flights, robots[base], figure)) for figure in GAINS])
+                for name, flights in robots.items()
+            ]
+            lines += titled(f"## {track.capitalize()}, less `{base}`", GAINS, rows)
+        for column, figure in product(("level", "world"), ("success", "score")):
+            groups = list(dict.fromkeys(next(iter(robots.values()))[column]))
+            rows = [
+                (
+                    f"`{name}`",
+                    [f"{flights[figure][flights[column] == one].mean():.2f}" for one in groups],
+                )
+                for name, flights in robots.items()
+            ]
+            if groups[1:]:
+                lines += titled(f"## {track.capitalize()}, {figure} by {column}", groups, rows)
+    return lines
+
+
+def scale_of(figure: str) -> Any:
+    """The kind of a figure's values, for intervals."""
+    return "outcome" if figure in OUTCOMES else "amount"
 
 
 if __name__ == "__main__":
