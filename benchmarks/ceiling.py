@@ -49,8 +49,8 @@ CAREFUL, EDGES = PlanConfig(planner="careful"), PlanConfig(edge_check=True)
 HEAT = np.geomspace(1e-3, 5.0, 100)
 """Sharpness of the likelihood while a chain is annealed, one after the other."""
 ROUNDING = 60
-"""Voxels by which our rays may differ from the library's: a return on a voxel's face, or a ray that grazes a
-pillar and crosses some twenty voxels behind it."""
+"""Voxels by which our rays may differ from the library's: a return on a voxel's face, or a ray that
+grazes a pillar here and crosses voxels behind it there."""
 PROPOSERS, WORLDS = 16, 64
 """Worlds in which paths are planned, and in which they are tried."""
 BINS = np.linspace(0, 1, 21)
