@@ -91,6 +91,7 @@ FIVE = tuple(name for name in SIX if name != "columns, brakes")
 ALL = (*SIX, "optimistic", "anywhere, brakes at 0.5", "returns", "reactive")
 AT_SPEEDS = {"1 m/s": 1.0, "2 m/s": 2.0, "6 m/s": 6.0, "8 m/s": 8.0}
 """Runs at other speeds than the suite's, m/s."""
+SPEEDS_MPS = dict(sorted([*AT_SPEEDS.items(), ("drawn", VEHICLE.speed_mps)], key=lambda at: at[1]))
 VARIED = {
     "drift": Run(PAIR, some=True, rules={"drift_m": 0.6, "drift_deg": 0.2}),
     "noise": Run(PAIR, some=True, noise=VLP_16),
@@ -360,8 +361,7 @@ def verdict(claim: Claim, values: Floats, p: float) -> str:
 
 def curves(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
     """Success, score and time at every speed, in the worlds that are flown at all of them."""
-    speeds = AT_SPEEDS | {"drawn": VEHICLE.speed_mps}
-    there = sorted(speeds.keys() & runs.keys(), key=speeds.__getitem__)
+    there = [title for title in SPEEDS_MPS if title in runs]
     lines = []
     for figure in ("success", "score", TIME) if there[1:] else ():
         rows = [
@@ -378,7 +378,7 @@ def curves(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
         ]
         lines += titled(
             f"## {figure.capitalize()}, by speed",
-            [f"{speeds[title]:g} m/s" for title in there],
+            [f"{SPEEDS_MPS[title]:g} m/s" for title in there],
             rows,
         )
     return lines
