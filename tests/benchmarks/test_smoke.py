@@ -14,7 +14,6 @@ from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
 SHARED = {"argoverse", "measuring", "places", "posterior", "scoring", "served"}
-STUDY = ROOT / "docs" / "results" / "study.json"
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {}
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
@@ -37,9 +36,8 @@ DEAR = LEARNED | {
         "intervals",
         "kinds",
         "noise",
-        "rehearsal",
     ),
-    *("movers", "mutants", "study", "suite", "verify"),
+    *("movers", "mutants", "suite", "verify"),
 }
 """These take some seconds."""
 
@@ -76,7 +74,7 @@ def test_a_benchmark_runs_and_prints_its_figures(
 ):
     name, *words = command.split()
     script = str(BENCHMARKS / f"{name}.py")
-    places = {"DATA": data, "STUDY": STUDY, "BENCHMARKS": BENCHMARKS}
+    places = {"DATA": data, "BENCHMARKS": BENCHMARKS}
     for name_of, place in places.items():
         words = [word.replace(name_of, str(place)) for word in words]
     given = [*words, "--smoke"]
