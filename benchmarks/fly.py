@@ -341,8 +341,10 @@ def claims(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
         paired_p(values, np.zeros_like(values), range(len(values)), rng=rng)
         for values in gains.values()
     ]
+    # a hypothesis that is not flown yet counts among the eight
+    adjusted = holm([*chances, *[1.0] * (len(CLAIMS) - len(there))])
     rows = []
-    for (title, one), values, p in zip(there.items(), gains.values(), holm(chances), strict=True):
+    for (title, one), values, p in zip(there.items(), gains.values(), adjusted, strict=False):
         cells = [one.run, f"`{one.first}` less `{one.second}`", one.figure, shown(values)]
         also = (gain(runs[one.run][one.first], runs[one.run][one.second], "success"),)
         rows.append((title, [*cells, f"{p:.4f}", verdict(one, values, p), *map(shown, also)]))
