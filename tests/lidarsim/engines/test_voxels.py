@@ -30,7 +30,7 @@ def crossed(voxels, start, ray, far_m):
 @pytest.mark.parametrize("seed", range(3))
 def test_rays_return_from_the_first_occupied_voxel(seed):
     """From the middle of their way through it. What is beyond the map is unknown."""
-    rng, far_m, starts = np.random.default_rng(seed), 4.0, []
+    rng, far_m = np.random.default_rng(seed), 4.0
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 9, 7), p=[0.2, 0.75, 0.05])
     voxels = VoxelMap(states.astype(np.uint8), 0.25, rng.uniform(-3, 3, 3))
     low, high = voxels.bounds
