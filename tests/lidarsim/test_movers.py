@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import AnalyticEngine
 from lidarsim.movers import Movers, MovingCaster
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, bounding_boxes
-from tests.lidarsim.engines.test_laws import from_mujoco
+from tests.lidarsim.engines.test_laws import data_of, from_mujoco
 from tests.lidarsim.reference import unit
 
 STANDING = """<mujoco><worldbody><geom type="plane" size="0 0 1"/>
@@ -91,12 +91,11 @@ def test_a_window_has_the_same_bits(span):
 
 @pytest.mark.parametrize("time_s", [0.4, 3.3, 6.1, 14.9])
 def test_rays_agree_with_mocap_bodies(time_s):
-    """Ranges, geoms, points and outward normals."""
+    """Ranges, geoms, points and outward normals; and so do solids."""
     movers, spec = three_movers(), mujoco.MjSpec.from_string(STANDING)
     movers.add_to(spec, time_s)
     model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = data_of(model)
     caster, (origin, rays, reach) = caster_of(time_s), rays_of(4000, 2)
     hits = caster.hits(origin, rays, reach)
     ranges, geoms, normals = from_mujoco(model, data, origin[0], rays[0], reach)
@@ -108,6 +107,11 @@ def test_rays_agree_with_mocap_bodies(time_s):
     assert_array_equal(caster.cast(origin, rays, reach), hits.ranges)
     assert_array_equal(caster.solid_of(origin, rays, reach)[0], np.maximum(geoms - 2, -1))
     assert np.count_nonzero(geoms >= 2) > 50
+    solids = movers.solids(time_s)
+    assert_allclose(solids.position, data.geom_xpos[2:], atol=1e-12)
+    assert_allclose(solids.rotation, data.geom_xmat[2:].reshape(-1, 3, 3), atol=1e-12)
+    box = bounding_boxes(solids.shape, solids.size, solids.position, solids.rotation)
+    assert_array_equal((solids.lower, solids.upper), box)
 
 
 def test_each_ray_meets_movers_at_its_own_time():
@@ -133,11 +137,3 @@ def test_balls_hold_movers_for_a_while():
     bound = movers.distances_m(point[None], 1.7, 1.2)[0]
     # a part of the courses has fewer speeds, so its bound is no looser
     assert bound <= movers.window(1.0, 3.0).distances_m(point[None], 1.7, 1.2)[0] <= nearest
-
-
-def test_solids_stand_in_their_boxes():
-    solids = three_movers().solids(5.0)
-    low, high = bounding_boxes(solids.shape, solids.size, solids.position, solids.rotation)
-    assert_array_equal(solids.lower, low)
-    assert_array_equal(solids.upper, high)
-    assert_allclose(np.linalg.det(solids.rotation), 1.0)
