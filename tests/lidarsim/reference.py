@@ -141,12 +141,6 @@ def observed(origin, voxel_m, shape, position, directions, ranges32):
     return out
 
 
-def lengths(ranges32, max_range_m):
-    """How far each ray is known to run: to its return, or to the maximum range where nothing
-    returned."""
-    return np.where(np.isinf(ranges32), max_range_m, ranges32.astype(np.float64))
-
-
 def overlaps(origin, voxel_m, shape, position, directions, reach, margin_m=0.0):
     """The greatest length in which a segment meets each voxel, grown by `margin_m` on every side,
     in rational arithmetic; 0 where none does.
