@@ -141,22 +141,30 @@ def observed(origin, voxel_m, shape, position, directions, ranges32):
     return out
 
 
-def overlaps(origin, voxel_m, shape, position, directions, reach, margin_m=0.0):
-    """The greatest length in which a segment meets each voxel, grown by `margin_m` on every side,
-    in rational arithmetic; 0 where none does.
+def passages(origin, voxel_m, shape, position, ray, reach, margin_m=0.0):
+    """Each voxel that a segment meets, grown by `margin_m` on every side: its index, and where the
+    segment enters and leaves it, in rational arithmetic.
 
     The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
-    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
-    units of the direction's length.
+    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Distances are
+    in units of the direction's length.
     """
+    axes = zip(shape, position, ray, origin, strict=True)
+    spans = [list(_spans(voxel_m, margin_m, *axis, Fraction(reach))) for axis in axes]
+    for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
+        if max(a0, b0) < min(a1, b1):
+            for k, c0, c1 in spans[2]:
+                first, last = max(a0, b0, c0), min(a1, b1, c1)
+                if first < last:
+                    yield (i, j, k), first, last
+
+
+def overlaps(origin, voxel_m, shape, position, directions, reach, margin_m=0.0):
+    """The greatest length in which a segment meets each voxel; 0 where none does."""
     out = np.zeros(shape, object)
     for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
-        axes = zip(shape, position, ray, origin, strict=True)
-        spans = [list(_spans(voxel_m, margin_m, *axis, Fraction(end))) for axis in axes]
-        for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
-            if max(a0, b0) < min(a1, b1):
-                for k, c0, c1 in spans[2]:
-                    out[i, j, k] = max(out[i, j, k], min(a1, b1, c1) - max(a0, b0, c0))
+        for index, *ends in passages(origin, voxel_m, shape, position, ray, end, margin_m):
+            out[index] = max(out[index], ends[1] - ends[0])
     return out
 
 
