@@ -40,7 +40,7 @@ def three_movers(seed=0):
         owner=np.array([0, 1, 1, 2]),
         shape=np.array([CAPSULE, BOX, BOX, ELLIPSOID]),
         size=np.array([[0.3, 0.6, 0], [2.0, 0.9, 0.4], [1.0, 0.8, 0.3], [0.4, 0.4, 0.1]]),
-        offset=np.array([[0, 0, 0.9], [0, 0, 0.6], [-0.2, 0, 1.3], [0, 0, 0]]),
+        offset=np.array([[0, 0, 0.9], [0, 0, 0.6], [-0.2, 0.1, 1.3], [0, 0, 0]]),
         piece_start=np.array([0, 4, 8, 12]),
         begin_s=np.tile(np.arange(4) * 2.0, 3),
         course=course,
@@ -117,12 +117,14 @@ def test_rays_agree_with_mocap_bodies(time_s):
 def test_each_ray_meets_movers_at_its_own_time():
     origin, rays, reach = rays_of(3000, 3)
     times_s = np.random.default_rng(4).uniform(1.0, 3.0, 3000)
-    together = caster_of(times_s).cast(origin, rays, reach)[0]
+    together = caster_of(times_s).hits(origin, rays, reach)
     single = [
-        caster_of(time_s).cast(origin, rays[:, [n]], reach)[0, 0]
+        caster_of(time_s).hits(origin, rays[:, [n]], reach)
         for n, time_s in enumerate(times_s.tolist())
     ]
-    assert_array_equal(together, single)
+    for name in ("ranges", "geoms", "normals"):
+        values = [getattr(hits, name)[0, 0] for hits in single]
+        assert_array_equal(getattr(together, name)[0], values)
     with pytest.raises(ValueError, match="one each"):
         caster_of(times_s).cast(*rays_of(8, 0))
 
