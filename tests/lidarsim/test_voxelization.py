@@ -112,6 +112,13 @@ def test_what_lies_behind_a_rays_end_is_not_freed(reach, most, freed):
         assert got.free[int((0.5 - low) / 0.25), 4, 4] == freed
 
 
+@pytest.mark.parametrize(("chord_m", "freed"), [(5e-10, False), (2e-9, True)])
+def test_a_corner_is_crossed_by_more_than_a_nanometre(chord_m, freed):
+    place = (-0.1, 0.1 + chord_m / 2**0.5, 0.1)
+    scan = scan_of([[1.0, -1.0, 0.0]], [np.inf], place, max_range_m=0.5)
+    assert voxelize(scan, DYADIC, -np.ones(3)).free[4, 4, 4] == freed
+
+
 def test_ranges_and_places_that_are_none_are_refused():
     """The kernels would read beyond them, or walk without end."""
     scan = scan_of(np.eye(3), np.ones(3))

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from tests.lidarsim.engines.test_laws import BAD_RAYS
@@ -15,7 +15,7 @@ from tests.refusals import refuses
 @pytest.mark.parametrize("seed", range(3))
 def test_rays_return_from_the_first_occupied_voxel(seed):
     """From the middle of their way through it. What is beyond the map is unknown."""
-    rng, far_m = np.random.default_rng(seed), 4.0
+    rng, far_m = np.random.default_rng(seed), 2.0
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 9, 7), p=[0.2, 0.75, 0.05])
     voxels = VoxelMap(states.astype(np.uint8), 0.25, rng.uniform(-3, 3, 3))
     low, high = voxels.bounds
@@ -42,6 +42,14 @@ def test_rays_return_from_the_first_occupied_voxel(seed):
         end = min(enters, far_m)
         known = sum(min(b, end) - min(a, end) for a, b, state in met if state != UNKNOWN)
         assert unknown_m == pytest.approx(float(end - known), abs=1e-3)
+
+
+@pytest.mark.parametrize(("chord_m", "range_m"), [(0.9e-4, np.inf), (1.1e-4, 0.5**0.5 + 0.55e-4)])
+def test_corners_are_cut_up_to_a_tenth_of_a_millimetre(chord_m, range_m):
+    states = np.array([[[FREE], [FREE]], [[FREE], [OCCUPIED]]], np.uint8)
+    start, ray = [0.5, 1.5 + chord_m / 2**0.5, 0.5], unit(np.array([1.0, -1.0, 0.0]))
+    ranges = VoxelEngine(VoxelMap(states, 1.0, np.zeros(3))).cast([start], [[ray]], 5.0)
+    assert_allclose(ranges, [[range_m]], rtol=0, atol=1e-9)
 
 
 def test_what_is_no_ray_meets_nothing():
