@@ -44,11 +44,20 @@ def test_rays_return_from_the_first_occupied_voxel(seed):
         assert unknown_m == pytest.approx(float(end - known), abs=1e-3)
 
 
-@pytest.mark.parametrize(("chord_m", "range_m"), [(0.9e-4, np.inf), (1.1e-4, 0.5**0.5 + 0.55e-4)])
-def test_corners_are_cut_up_to_a_tenth_of_a_millimetre(chord_m, range_m):
+EDGE_M = 0.5**0.5
+CUTS = [
+    (0.9e-4, 5.0, np.inf),
+    (1.1e-4, 5.0, EDGE_M + 0.55e-4),
+    (1.1e-4, EDGE_M + 0.5e-4, np.inf),
+]
+
+
+@pytest.mark.parametrize(("chord_m", "reach", "range_m"), CUTS)
+def test_corners_are_cut_up_to_a_tenth_of_a_millimetre(chord_m, reach, range_m):
+    """And a return is one if the middle of its way is within reach."""
     states = np.array([[[FREE], [FREE]], [[FREE], [OCCUPIED]]], np.uint8)
     start, ray = [0.5, 1.5 + chord_m / 2**0.5, 0.5], unit(np.array([1.0, -1.0, 0.0]))
-    ranges = VoxelEngine(VoxelMap(states, 1.0, np.zeros(3))).cast([start], [[ray]], 5.0)
+    ranges = VoxelEngine(VoxelMap(states, 1.0, np.zeros(3))).cast([start], [[ray]], reach)
     assert_allclose(ranges, [[range_m]], rtol=0, atol=1e-9)
 
 
