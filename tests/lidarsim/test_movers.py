@@ -115,8 +115,11 @@ def test_rays_agree_with_mocap_bodies(time_s):
 
 
 def test_each_ray_meets_movers_at_its_own_time():
-    origin, rays, reach = rays_of(3000, 3)
-    times_s = np.random.default_rng(4).uniform(1.0, 3.0, 3000)
+    """Rays that aim beside where a mover then is."""
+    rng, (origin, _, reach), movers = np.random.default_rng(4), rays_of(0, 0), three_movers()
+    times_s = rng.uniform(1.0, 3.0, 600)
+    places = [movers.poses(time_s)[0][n % 3] for n, time_s in enumerate(times_s.tolist())]
+    rays = unit(places - origin + 0.4 * rng.normal(size=(600, 3)))[None]
     together = caster_of(times_s).hits(origin, rays, reach)
     single = [
         caster_of(time_s).hits(origin, rays[:, [n]], reach)
@@ -125,6 +128,7 @@ def test_each_ray_meets_movers_at_its_own_time():
     for name in ("ranges", "geoms", "normals"):
         values = [getattr(hits, name)[0, 0] for hits in single]
         assert_array_equal(getattr(together, name)[0], values)
+    assert np.count_nonzero(together.geoms >= 2) > 100
     with pytest.raises(ValueError, match="one each"):
         caster_of(times_s).cast(*rays_of(8, 0))
 
