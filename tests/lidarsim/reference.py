@@ -106,33 +106,24 @@ def interval(kind, size, start, along):
 
     Sizes are MuJoCo's, or arrays with one for each line.
     """
-    if kind == "sphere":
-        return _ball(start, along, size[0])
-    if kind == "ellipsoid":  # a unit ball in the space divided by the half axes
+    if kind in ("sphere", "ellipsoid"):  # a unit ball in the space divided by the half axes
         axes = np.stack(np.broadcast_arrays(*size), axis=-1)
         return _ball(start / axes, along / axes, 1.0)
     if kind == "box":  # three slabs
         pieces = [_slab(start[..., a], along[..., a], size[a]) for a in range(3)]
-    elif kind == "cylinder":  # a round wall without end, and one slab
-        pieces = [
-            _ball(start[..., :2], along[..., :2], size[0]),
-            _slab(start[..., 2], along[..., 2], size[1]),
-        ]
-    elif (
-        kind == "capsule"
-    ):  # convex: from the first to the last distance in the cylinder or either ball
-        near, far = interval("cylinder", size, start, along)
+    else:  # a round wall without end, and one slab
+        wall = _ball(start[..., :2], along[..., :2], size[0])
+        pieces = [wall, _slab(start[..., 2], along[..., 2], size[1])]
+    nears, fars = zip(*pieces, strict=True)
+    near, far = np.max(nears, axis=0), np.min(fars, axis=0)
+    hit = near <= far
+    near, far = np.where(hit, near, np.inf), np.where(hit, far, -np.inf)
+    if kind == "capsule":  # convex: from the first to the last distance in this or either ball
         for end in (-size[1], size[1]):
             above = np.stack(np.broadcast_arrays(0.0, 0.0, end), axis=-1)
             ball_near, ball_far = _ball(start - above, along, size[0])
             near, far = np.minimum(near, ball_near), np.maximum(far, ball_far)
-        return near, far
-    else:
-        raise AssertionError(f"no such solid: {kind}")
-    near = np.maximum.reduce([piece[0] for piece in pieces])
-    far = np.minimum.reduce([piece[1] for piece in pieces])
-    hit = near <= far
-    return np.where(hit, near, np.inf), np.where(hit, far, -np.inf)
+    return near, far
 
 
 # ----------------------------------------------------------------------------------------------
@@ -150,29 +141,30 @@ def observed(origin, voxel_m, shape, position, directions, ranges32):
     return out
 
 
-def lengths(ranges32, max_range_m):
-    """How far each ray is known to run: to its return, or to the maximum range where nothing
-    returned."""
-    return np.where(np.isinf(ranges32), max_range_m, ranges32.astype(np.float64))
-
-
-def swept(origin, voxel_m, shape, position, directions, reach, at_least=0.0, margin_m=0.0):
-    """Voxels that some segment meets with positive length of at least `at_least`, in rational
-    arithmetic, each voxel grown by `margin_m` on every side.
+def passages(origin, voxel_m, shape, position, ray, reach, margin_m=0.0):
+    """Each voxel that a segment meets, grown by `margin_m` on every side: its index, and where the
+    segment enters and leaves it, in rational arithmetic.
 
     The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
-    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
-    units of the direction's length.
+    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Distances are
+    in units of the direction's length.
     """
-    out = np.zeros(shape, bool)
+    axes = zip(shape, position, ray, origin, strict=True)
+    spans = [list(_spans(voxel_m, margin_m, *axis, Fraction(reach))) for axis in axes]
+    for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
+        if max(a0, b0) < min(a1, b1):
+            for k, c0, c1 in spans[2]:
+                first, last = max(a0, b0, c0), min(a1, b1, c1)
+                if first < last:
+                    yield (i, j, k), first, last
+
+
+def overlaps(origin, voxel_m, shape, position, directions, reach, margin_m=0.0):
+    """The greatest length in which a segment meets each voxel; 0 where none does."""
+    out = np.zeros(shape, object)
     for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
-        axes = zip(shape, position, ray, origin, strict=True)
-        spans = [list(_spans(voxel_m, margin_m, *axis, Fraction(end))) for axis in axes]
-        for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
-            if max(a0, b0) < min(a1, b1):
-                for k, c0, c1 in spans[2]:
-                    length = min(a1, b1, c1) - max(a0, b0, c0)
-                    out[i, j, k] |= length > 0 and length >= at_least
+        for index, *ends in passages(origin, voxel_m, shape, position, ray, end, margin_m):
+            out[index] = max(out[index], ends[1] - ends[0])
     return out
 
 

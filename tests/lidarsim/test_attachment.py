@@ -12,7 +12,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Fault
 from tests.command_line import beside
 from tests.lidarsim import reference
-from tests.lidarsim.engines.test_laws import ASSETS, from_mujoco
+from tests.lidarsim.engines.test_laws import ASSETS, data_of, from_mujoco
 from tests.refusals import refuses
 
 WORLD = beside(__file__, "carrier.xml").format(assets=ASSETS)
@@ -26,10 +26,7 @@ def model():
 
 @pytest.fixture
 def data(model):
-    """As the world begins."""
-    beginning = mujoco.MjData(model)
-    mujoco.mj_forward(model, beginning)
-    return beginning
+    return data_of(model)
 
 
 def test_a_falling_robot_sees_what_mujocos_rays_see(model):

@@ -48,8 +48,7 @@ def package(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    cache_folder.cache_clear()
-    jit.cache_trouble.cache_clear()
+    forget()
     numbas = numba.config.CACHE_DIR
     yield folder
     assert numbas == numba.config.CACHE_DIR  # no kernel changed numba's settings

@@ -9,7 +9,6 @@ A range is right if some solids, larger or smaller than the world's by a toleran
 that tolerance. So a ray that touches a solid may hit or miss it, and nothing else may be missed.
 """
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -19,7 +18,7 @@ from lidarsim import AnalyticEngine
 from lidarsim.solids import solids_of
 from tests.conftest import quarter
 from tests.lidarsim import reference
-from tests.lidarsim.engines.test_laws import PROCESSORS, made, model_of, numbers
+from tests.lidarsim.engines.test_laws import PROCESSORS, data_of, made, model_of, numbers
 from tests.lidarsim.reference import unit
 
 FAR_M = 9e5
@@ -91,8 +90,7 @@ def test_one_solid_of_any_size_from_anywhere(kind, count):
         attitude = reference.random_quaternion(rng) if rng.random() < 0.7 else np.eye(4)[0]
         pose = f'pos="{numbers(place)}" quat="{numbers(attitude)}"'
         model = model_of(f'type="{kind}" size="{numbers(size)}" {pose}')
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        data = data_of(model)
         place, turn = data.geom_xpos[0], data.geom_xmat.reshape(3, 3).astype(np.longdouble)
         points, rays = aimed(rng, features(rng, kind, size), float(size.max()))
         origins = (points @ turn.T + place).astype(np.float64)

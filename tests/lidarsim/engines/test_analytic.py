@@ -1,9 +1,7 @@
 """Closed forms, against arithmetic that needs none and against MuJoCo's function for one ray."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -11,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import AnalyticEngine, Lidar, MujocoEngine
 from lidarsim.engines import analytic
 from lidarsim.solids import solids_of
-from tests.lidarsim.engines.test_laws import from_mujoco, random_model, random_rays
+from tests.lidarsim.engines.test_laws import data_of, from_mujoco, random_model, random_rays
 from tests.lidarsim.reference import unit
 
 
@@ -22,6 +20,13 @@ def assert_same(actual, expected, pose=slice(None)):
         assert_array_equal(getattr(actual, name)[pose].reshape(values.shape), values)
 
 
+def calls_of(name, monkeypatch):
+    """The arguments of every call of a function of the engine's module, from now on."""
+    function, calls = getattr(analytic, name), []
+    monkeypatch.setattr(analytic, name, lambda *given: calls.append(given) or function(*given))
+    return calls
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_hits_are_mujocos(seed):
     """Geoms, points and normals, of every shape at any attitude; and ranges, those of the engine
@@ -29,8 +34,7 @@ def test_hits_are_mujocos(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     origins, rays = random_rays(rng, 4, 2000)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = data_of(model)
     hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
         few = rays[p, :300]
@@ -71,9 +75,7 @@ def test_what_was_cast_is_met_again_without_a_walk(monkeypatch, rng):
     solids = solids_of(random_model(rng))
     parts = np.arange(len(solids)) % 2
     origins, rays = random_rays(rng, 3, 300)
-    engine, walks = AnalyticEngine(solids, parts=parts), []
-    walk = analytic.traverse
-    monkeypatch.setattr(analytic, "traverse", lambda *given: walks.append(0) or walk(*given))
+    engine, walks = AnalyticEngine(solids, parts=parts), calls_of("traverse", monkeypatch)
 
     def walked(pose, reach=12.0, through=-1):
         """How many walks hits take, which are a new engine's."""
@@ -104,10 +106,7 @@ def test_threads_share_poses_and_change_nothing(monkeypatch, rng):
     origins, rays = random_rays(rng, 7, 300)
     alone = AnalyticEngine(solids, threads=1).cast(origins, rays, 12.0)
     monkeypatch.setattr(analytic, "RAYS_A_THREAD", 100)
-    pools = []
-    monkeypatch.setattr(
-        analytic, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n)
-    )
+    pools = calls_of("ThreadPoolExecutor", monkeypatch)
     assert_array_equal(AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone)
     AnalyticEngine(solids, threads=3).cast(origins[:1], rays[:1], 12.0)
-    assert pools == [3]  # none for one pose
+    assert pools == [(3,)]  # none for one pose

@@ -34,6 +34,13 @@ def model_of(*geoms, inside="", assets=""):
     )
 
 
+def data_of(model):
+    """A world as it begins."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
 def numbers(values):
     """Floats for an MJCF attribute, exactly."""
     return " ".join(f"{float(value):.17g}" for value in values)

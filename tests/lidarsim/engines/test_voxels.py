@@ -1,36 +1,21 @@
-"""Rays through maps of voxels, against points sampled along them."""
+"""Rays through maps of voxels, against intervals in rational arithmetic."""
 
 import itertools
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from tests.lidarsim.engines.test_laws import BAD_RAYS
-from tests.lidarsim.reference import unit
+from tests.lidarsim.reference import passages, unit
 from tests.refusals import refuses
-
-
-def crossed(voxels, start, ray, far_m):
-    """Where a ray crosses planes of a map (n + 1,), and the states in between (n,)."""
-    distances = [np.array([0.0, far_m])]
-    for axis in np.flatnonzero(ray):
-        planes = voxels.origin[axis] + voxels.voxel_m * np.arange(voxels.states.shape[axis] + 1)
-        distances.append((planes - start[axis]) / ray[axis])
-    distances = np.unique(np.clip(np.concatenate(distances), 0.0, far_m))
-    middles = start + (distances[:-1] + distances[1:])[:, None] / 2 * ray
-    index = np.floor((middles - voxels.origin) / voxels.voxel_m).astype(int)
-    inside = ((index >= 0) & (index < voxels.states.shape)).all(axis=1)
-    states = np.full(len(middles), UNKNOWN)
-    states[inside] = voxels.states[tuple(index[inside].T)]
-    return distances, states
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rays_return_from_the_first_occupied_voxel(seed):
     """From the middle of their way through it. What is beyond the map is unknown."""
-    rng, far_m, starts = np.random.default_rng(seed), 4.0, []
+    rng, far_m = np.random.default_rng(seed), 2.0
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 9, 7), p=[0.2, 0.75, 0.05])
     voxels = VoxelMap(states.astype(np.uint8), 0.25, rng.uniform(-3, 3, 3))
     low, high = voxels.bounds
@@ -43,15 +28,37 @@ def test_rays_return_from_the_first_occupied_voxel(seed):
         assert engine.mostly_known(*query, *limits) == ((unknown > limits[0]).mean() <= limits[1])
         assert_array_equal(engine.cross(*query), (ranges, unknown))
     assert 0 < np.isinf(ranges).sum() < len(starts)
+    grid = voxels.origin, voxels.voxel_m, states.shape
     for start, ray, range_m, unknown_m in zip(starts, rays, ranges, unknown, strict=True):
-        distances, crossing = crossed(voxels, start, ray, far_m + 1.0)
+        met = [
+            (first, last, states[index])
+            for index, first, last in passages(*grid, start, ray, far_m + 1.0)
+        ]
         # a corner is cut if the way through it is shorter than 0.1 mm
-        met = np.flatnonzero((crossing == OCCUPIED) & (np.diff(distances) > 1e-4))
-        first = met[0] if len(met) else len(crossing) - 1
-        middle = distances[first : first + 2].mean() if len(met) else np.inf
+        solid = [(a, b) for a, b, state in met if state == OCCUPIED and b - a > 1e-4]
+        enters, leaves = min(solid, default=(np.inf, np.inf))
+        middle = float(enters + leaves) / 2
         assert range_m == pytest.approx(middle if middle <= far_m else np.inf, abs=1e-9)
-        lengths = np.diff(np.minimum(distances, far_m))[: first + 1]
-        assert unknown_m == pytest.approx(lengths[crossing[: first + 1] == UNKNOWN].sum(), abs=1e-3)
+        end = min(enters, far_m)
+        known = sum(min(b, end) - min(a, end) for a, b, state in met if state != UNKNOWN)
+        assert unknown_m == pytest.approx(float(end - known), abs=1e-3)
+
+
+EDGE_M = 0.5**0.5
+CUTS = [
+    (0.9e-4, 5.0, np.inf),
+    (1.1e-4, 5.0, EDGE_M + 0.55e-4),
+    (1.1e-4, EDGE_M + 0.5e-4, np.inf),
+]
+
+
+@pytest.mark.parametrize(("chord_m", "reach", "range_m"), CUTS)
+def test_corners_are_cut_up_to_a_tenth_of_a_millimetre(chord_m, reach, range_m):
+    """And a return is one if the middle of its way is within reach."""
+    states = np.array([[[FREE], [FREE]], [[FREE], [OCCUPIED]]], np.uint8)
+    start, ray = [0.5, 1.5 + chord_m / 2**0.5, 0.5], unit(np.array([1.0, -1.0, 0.0]))
+    ranges = VoxelEngine(VoxelMap(states, 1.0, np.zeros(3))).cast([start], [[ray]], reach)
+    assert_allclose(ranges, [[range_m]], rtol=0, atol=1e-9)
 
 
 def test_what_is_no_ray_meets_nothing():

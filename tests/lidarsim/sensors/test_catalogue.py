@@ -6,7 +6,6 @@ import json
 import math
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -16,7 +15,7 @@ from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
 from tests.command_line import beside, rows
-from tests.lidarsim.engines.test_laws import model_of
+from tests.lidarsim.engines.test_laws import data_of, model_of
 from tests.refusals import refuses
 from tests.scenegen import each_case
 
@@ -134,23 +133,20 @@ def test_a_depth_cameras_rays_form_a_square_grid(name):
     """On a plane ahead; half a pixel lies beyond the outermost rays."""
     sensor = named(name)
     assert isinstance(sensor, Pinhole)
-    rays, (rows, columns) = sensor.directions_body, sensor.shape
-    y, z = np.moveaxis(rays[..., 1:] / rays[..., :1], -1, 0)
-    wide, high = (math.tan(math.radians(fov / 2)) for fov in (87, 58))
-    columns_y = wide * np.linspace(1 - 1 / columns, 1 / columns - 1, columns)
-    assert_allclose(y, np.tile(columns_y, (rows, 1)), atol=1e-12)
-    rows_z = high * np.linspace(1 - 1 / rows, 1 / rows - 1, rows)
-    assert_allclose(z.T, np.tile(rows_z, (columns, 1)), atol=1e-12)
+    x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
+    for lines, fov_deg in ((y / x, 87), ((z / x).T, 58)):
+        count = lines.shape[1]
+        outermost = math.tan(math.radians(fov_deg / 2)) * (1 - 1 / count)
+        expected = np.broadcast_to(np.linspace(outermost, -outermost, count), lines.shape)
+        assert_allclose(lines, expected, atol=1e-12)
 
 
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
     """At a yaw of 90° the body's x axis is the world's y axis."""
     sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
     model, pose = model_of('size="1" pos="1 7 3.2"'), Pose.level((1.0, 2.0, 3.0), math.pi / 2)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     on_world = attach(model, "world", sensor, offset=pose, unseen="nothing")
-    for scan in (cast(MujocoEngine.of(model), sensor, pose), on_world.scan(data)):
+    for scan in (cast(MujocoEngine.of(model), sensor, pose), on_world.scan(data_of(model))):
         assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
         assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
