@@ -16,6 +16,7 @@ from scenegen.worlds.clouds import Cloud, read_cloud
 from scenegen.worlds.tables import named_lidar
 from tests.command_line import ROOT, done
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import cases
 
 HALF_M = np.array([12.0, 9.0, 3.0])
 """Half the size of the room, in whose middle sensors stand."""
@@ -154,11 +155,5 @@ def test_scans_of_another_sensor_are_refused(standing, capsys):
     refuses("rings", measure, [Cloud(scan.points, "", rings=rings)], VLP_16)
     refuses("no channels", measure, [scan], MID_360)
     np.save("scan.npy", cloud().points)
-    for words in (
-        "ouster-os0-64 --against scan.npy",
-        "hesai-xt-32 --against none.npy",
-        "hesai-xt-32 --against scan.npy more.npy",
-        "hesai-xt-32 velodyne-vlp-16 --against scan.npy",
-        "velodyne-vlp-16 --fit mine.toml",
-    ):
+    for (words,) in cases("logs/against_bad_use"):
         refuses_command(capsys, f"sensors {words}")

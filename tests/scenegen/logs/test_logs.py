@@ -27,7 +27,7 @@ from scenegen.worlds.place import read_place
 from tests.command_line import done
 from tests.conftest import contents
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.logs.bags import Bag, named
 from tests.scenegen.logs.conftest import RECORD, SENSOR
@@ -239,7 +239,7 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert contents(out) == contents(mended) == contents(whole)
 
 
-@pytest.mark.parametrize(("case", "file", "content"), cases("logs/logs"))
+@each_case("logs/logs", "case file content")
 def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, case, file, content):
     log = tmp_path / "log"
     written(log)
@@ -357,6 +357,6 @@ def test_cut_recordings_end_in_one_line(tmp_path, cut, ros):
     refuses(cut, lambda: list(read_log(path).scans()))
 
 
-@pytest.mark.parametrize("words", [words for (words,) in cases("logs/logs_bad_use")])
+@each_case("logs/logs_bad_use", "words")
 def test_bad_use_is_told(capsys, words):
     refuses_command(capsys, words)

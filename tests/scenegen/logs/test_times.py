@@ -10,7 +10,7 @@ from scenegen.logs.fuse import ingest
 from scenegen.logs.log import RawTimes, find_clock
 from scenegen.logs.read import read_log
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.logs.bags import BEGIN_S, PERIOD_S, SPEED_MPS, drive, moving, sweeps
 
@@ -31,7 +31,7 @@ def check_deskewed(log, out, truth, within_m=0.006):
         assert abs(seen - points).max() < within_m, n
 
 
-@pytest.mark.parametrize(("name", "kind", "per_s", "since", "unit"), cases("logs/times"))
+@each_case("logs/times", "name kind per_s since unit")
 def test_points_are_deskewed_by_any_field(tmp_path, name, kind, per_s, since, unit):
     def encode(u, stamp):
         after = u if since == "stamp" else stamp - float(since) + u
@@ -42,7 +42,7 @@ def test_points_are_deskewed_by_any_field(tmp_path, name, kind, per_s, since, un
     check_deskewed(log, tmp_path / "out", truth)
 
 
-@pytest.mark.parametrize(("times", "expected"), cases("logs/stamped"))
+@each_case("logs/stamped", "times expected")
 def test_times_of_points_are_seconds_after_the_stamp(times, expected):
     """Of three points, of which the second did not return."""
     times, expected = (np.array(text.split(), float) for text in (times, expected))

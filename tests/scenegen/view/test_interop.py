@@ -34,10 +34,9 @@ def test_sparse_batches_hold_every_observed_voxel(made):
     assert_array_equal(dense[0][0], observed)
 
 
-def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
-    rosbags = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
-    kinds = dict.fromkeys(("PointCloud2", "PointField", "Header"), SimpleNamespace)
-    ros = MagicMock(**kinds)
+def test_the_ros_node_publishes_what_it_scans(tmp_path, monkeypatch):
+    """Under names of messages that test_logs.py reads."""
+    ros = MagicMock(**dict.fromkeys(("PointCloud2", "PointField", "Header"), SimpleNamespace))
     for name in ("rclpy", "sensor_msgs", "sensor_msgs.msg", "std_msgs", "std_msgs.msg"):
         monkeypatch.setitem(sys.modules, name, ros)
     node = ros.create_node.return_value
@@ -47,11 +46,7 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
     names = {}
     exec(NODE, names)
     ((cloud,), _) = node.create_publisher.return_value.publish.call_args
-    types = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE).types
-    messages = {"sensor_msgs/msg/PointCloud2": cloud, "std_msgs/msg/Header": cloud.header}
-    messages["sensor_msgs/msg/PointField"] = cloud.fields[0]
-    for kind, message in messages.items():
-        assert vars(message).keys() <= types[kind].__dataclass_fields__.keys(), kind
+    assert [field.name for field in cloud.fields] == ["x", "y", "z"]
     points = np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
     assert cloud.header.frame_id == "lidar"
     assert cloud.header.stamp is node.get_clock.return_value.now.return_value.to_msg.return_value

@@ -162,7 +162,7 @@ def test_a_cloud_without_returns_is_refused(saved):
 
 
 def test_view_writes_a_page_of_a_log(capsys, log, tmp_path):
-    done(capsys, "view", log, "--html", tmp_path / "log.html")
+    done(capsys, f"view {log} --html {tmp_path}/log.html")
     data = Seen((tmp_path / "log.html").read_text()).data()
     assert [sample["name"] for sample in data["samples"]] == ["0.00 s", "1.00 s", "2.00 s"]
     assert data["film"] is TYPES[what_is(log)].film is True
@@ -171,7 +171,7 @@ def test_view_writes_a_page_of_a_log(capsys, log, tmp_path):
 def test_a_page_replaces_no_other_file(capsys, saved):
     cloud = saved(POINTS)
     before = cloud.read_bytes()
-    assert ".html" in refused(capsys, "view", cloud, "-o", cloud)
+    assert ".html" in refused(capsys, f"view {cloud} -o {cloud}")
     refuses("html", show, str(cloud), out=cloud)
     assert cloud.read_bytes() == before
 

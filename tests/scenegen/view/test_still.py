@@ -14,7 +14,7 @@ from scenegen.view.look import Guess, Route
 from scenegen.view.stills import VEIL, draw
 from tests.command_line import ROOT, done, refused
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
 ERRORS = {"missed (pale: one voxel off)", "invented (pale: one voxel off)"}
 PATHS = {"occ", "$own$", "start", "goal", "meets an obstacle"}
@@ -154,7 +154,7 @@ def test_the_command_draws_sheets_and_worlds(words, here, capsys):
     assert (here / "deep/x.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("words", "fault"), cases("view/still"))
+@each_case("view/still", "words fault")
 def test_what_cannot_be_drawn_ends_in_one_line(words, fault, here, capsys):
     assert fault in refused(capsys, f"render {words}")
     assert not list(here.glob("x.*"))
