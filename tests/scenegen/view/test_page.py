@@ -17,6 +17,7 @@ from scenegen.base.errors import ScenegenError
 from scenegen.dataset.read import Dataset
 from scenegen.view.look import Guess, field_of_view, look_at, looks
 from scenegen.view.page import HERE, page
+from scenegen.worlds.movers import encoded
 from tests.refusals import refuses, refuses_command
 from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 
@@ -88,22 +89,18 @@ def test_classes_and_doubt_are_in_the_page(look, rng):
     assert_allclose(array(packed["guesses"][0]["chance"]) / 255, chance.ravel(), atol=1 / 509)
 
 
-def test_movers_follow_their_courses(moving):
-    """As the script evaluates them; and they are a small part of a page."""
+def test_movers_are_a_small_part_of_a_page(moving):
+    """test_browser.py has where the script draws them."""
     split = Dataset(moving).split("train")
     shown, _ = looks(split.dataset, "train", range(len(split)))
     samples = Seen(page(shown, title="")).data()["samples"]
     for packed, sample in zip((one["movers"] for one in samples), split, strict=True):
         bits = np.unpackbits(array(packed["standing"]))
         assert_array_equal(bits, sample.static_occupancy.ravel())
-        assert_allclose(packed["scans"], sample.scan_times - packed["now"])
-        for time in packed["now"] + np.array([min(packed["scans"]), 0.0, packed["end"]]):
-            places = []
-            for mover in json.loads(unpacked(packed["table"])):
-                n = np.searchsorted(mover["begin_s"], time, side="right") - 1
-                since = (time - mover["begin_s"][n]) ** np.arange(4)
-                places.append((np.reshape(mover["course"][n], (5, 4)) @ since)[:3])
-            assert_allclose(places, sample.motion.movers.poses(time)[0], atol=1e-9)
+        assert unpacked(packed["table"]).decode() == encoded(sample.motion.movers)
+        times = packed["now"] + np.array([*packed["scans"], packed["end"]])
+        assert_allclose(times, [*sample.scan_times, sample.course_end])
+        assert packed["now"] == sample.scan_times[0]
         assert len(json.dumps(packed)) < 20_000
 
 
