@@ -13,11 +13,9 @@ import pytest
 
 from scenegen.base.errors import GenerationError
 from scenegen.base.executors import executor
-from scenegen.cli.show import Progress
 from scenegen.dataset.build import build
 from tests.command_line import ROOT, python
 from tests.conftest import contents
-from tests.scenegen.base import everywhere
 from tests.scenegen.base.test_executors import plan
 from tests.scenegen.conftest import wait_for
 
@@ -28,62 +26,32 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def cluster():
-    """A head and two nodes of one core each, all on this machine."""
+    """A head and two nodes of one core each, all on this machine, to which this process is
+    connected."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     found = cluster_utils.Cluster(
         initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
     )
     found.nodes = [found.add_node(num_cpus=1) for _ in range(2)]
+    ray.init(address=found.address, log_to_driver=False, configure_logging=False)
     yield found
+    ray.shutdown()
     found.shutdown()
 
 
-@pytest.fixture
-def connected(cluster):
-    """The cluster, to which this process is connected."""
-    ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
-    yield cluster
-    ray.shutdown()
-
-
-def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path):
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(cluster, tmp_path):
     build(plan(tmp_path / "here"))
     killed = []
 
     def kill_one(report, fresh):
         if fresh and not killed:
-            killed.append(connected.nodes.pop())
-            connected.remove_node(killed[0], allow_graceful=False)
+            killed.append(cluster.nodes.pop())
+            cluster.remove_node(killed[0], allow_graceful=False)
 
     build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
     assert killed
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
     assert ray.is_initialized()  # what was there before is left
-
-
-def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monkeypatch, capsys):
-    """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of
-    Ray's is printed."""
-    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
-    everywhere.make(tmp_path)
-    everywhere.stand(tmp_path, monkeypatch)
-    count = Progress.count
-
-    def kill_one(self, samples):
-        count(self, samples)
-        if nodes and samples:
-            cluster.remove_node(nodes.pop(), allow_graceful=False)
-            cluster.nodes.append(cluster.add_node(num_cpus=1))
-
-    for words in everywhere.COMMANDS:
-        nodes = []
-        here = everywhere.outcome(capsys, tmp_path, words, "here", "--workers", 1)
-        nodes = [cluster.nodes.pop(0)]
-        monkeypatch.setattr(Progress, "count", kill_one)
-        there = everywhere.outcome(capsys, tmp_path, words, "there", "--on", "ray://auto")
-        monkeypatch.setattr(Progress, "count", count)
-        assert not nodes  # one was killed
-        assert there == here
 
 
 BEAT = """
@@ -104,10 +72,10 @@ def beat(path):
         time.sleep(0.2)
 
 
-def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected, tmp_path):
+def test_a_stop_ends_the_tasks_of_this_run_and_no_others(cluster, tmp_path):
     ours, others = tmp_path / "ours", tmp_path / "others"
     task = ray.remote(beat).remote(others)
-    environment = os.environ | {"RAY_ADDRESS": connected.address, "PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"RAY_ADDRESS": cluster.address, "PYTHONPATH": str(ROOT)}
     words = [sys.executable, "-c", BEAT, str(ours)]
     with subprocess.Popen(words, env=environment) as running:
         wait_for(lambda: ours.exists() and others.exists())

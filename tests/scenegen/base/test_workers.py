@@ -28,7 +28,7 @@ def work(task):
 
 
 LIMITED = Limited(
-    work, lambda task: 1.0 if task == "sleep" else 60.0, 1 << 30, lambda task, why: f"{task}: {why}"
+    work, lambda task: 0.2 if task == "sleep" else 60.0, 1 << 30, lambda task, why: f"{task}: {why}"
 )
 
 

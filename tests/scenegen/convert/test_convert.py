@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import sys
-import tarfile
 
 import h5py
 import numpy as np
@@ -20,13 +19,13 @@ from scenegen.convert.recordings import rerun as import_rerun
 from scenegen.dataset.read import Dataset
 from scenegen.draw.source import read_world
 from scenegen.worlds.place import parse_octomap
-from tests.command_line import done, python, refused, run
+from tests.command_line import beside, done, python, refused, run
 from tests.conftest import contents
 from tests.refusals import refuses
+from tests.scenegen import cases
 from tests.scenegen.test_moving_samples import moving as moving  # a fixture
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
-FUTURE = ("occupancy+0.5", "occupancy+1", "occupancy+2")
 MASKS = ("observed", "free", "occupancy")
 
 
@@ -47,19 +46,16 @@ def unpacked(content, shape):
     return bits[: np.prod(shape)].reshape(shape)
 
 
-@pytest.mark.parametrize("to", ["npz", "webdataset", "occ3d"])
+@pytest.mark.parametrize("to", ["npz", "occ3d"])
 def test_the_future_of_movers(moving, tmp_path, to):
-    out = converted(moving, tmp_path / "out", to, split="train", future=True)
-    if to == "webdataset":
-        with tarfile.open(out / "train-000000.tar") as file:
-            file.extractall(out, filter="data")
-    files = sorted(out.rglob("*.npz"))
-    for path, sample in zip(files, Dataset(moving).split("train"), strict=True):
-        arrays, flow = np.load(path), sample.motion.flow()
-        assert_array_equal(arrays["flow"], flow[..., :2] if to == "occ3d" else flow)
-        for name in () if to == "occ3d" else FUTURE:
-            expected = sample.motion.occupancy(float(name.partition("+")[2]))
-            assert_array_equal(arrays[name], expected)
+    files = converted(moving, tmp_path / "out", to, split="train", future=True).rglob("*.npz")
+    for path, sample in zip(sorted(files), Dataset(moving).split("train"), strict=True):
+        motion, flow = sample.motion, sample.motion.flow()
+        later = {f"occupancy+{after_s}": motion.occupancy(after_s) for after_s in (0.5, 1, 2)}
+        expected = {"flow": flow[..., :2]} if to == "occ3d" else {"flow": flow, **later}
+        arrays = np.load(path)
+        for name, values in expected.items():
+            assert_array_equal(arrays[name], values)
 
 
 def test_without_movers_there_is_no_future(made, tmp_path):
@@ -103,28 +99,8 @@ def test_occ3d(made, tmp_path):
             assert_array_equal(labels[name], values)
 
 
-OCC3D_NAMES = str.split("""
-others barrier bicycle bus car construction_vehicle motorcycle pedestrian traffic_cone trailer truck
-driveable_surface other_flat sidewalk terrain manmade vegetation free
-""")
-"""As the loaders of Occ3D-nuScenes list them."""
-CLASSES = """
-nothing     0 free
-road       40 driveable_surface
-sidewalk   48 sidewalk
-terrain    72 terrain
-building   50 manmade
-vegetation 70 vegetation
-trunk      71 vegetation
-pole       80 manmade
-sign       81 manmade
-vehicle    10 car
-tyre       10 car
-machine    60 manmade
-"""
-"""Our classes; the numbers of `config/semantic-kitti.yaml`, where tyres are of cars, and machines
-of what `--label` says; and Occ3D's names."""
-OURS, SEMANTIC_KITTI, OCC3D = zip(*map(str.split, CLASSES.strip().splitlines()), strict=True)
+OCC3D_NAMES = [name for (name,) in cases("convert/occ3d")]
+OURS, SEMANTIC_KITTI, OCC3D = zip(*cases("convert/classes"), strict=True)
 
 
 @pytest.fixture(scope="module")
@@ -165,32 +141,16 @@ def test_classes_become_the_formats_by_name(labelled, tmp_path, to):
         assert written.ravel().tolist() == [renamed[name] for name in expected.ravel()]
 
 
-def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
-    """Of worlds whose geoms the user has named: theirs are taken, the others are named."""
-    (tmp_path / "a.xml").write_text(
-        "<mujoco><worldbody><geom name='bicycle_01' size='1' pos='0 0 1'/>"
-        "<geom name='crate.7' type='box' size='1 1 1' pos='4 0 1'/></worldbody></mujoco>"
-    )
-    done(capsys, f"generate --scene {tmp_path}/a.xml --n 1 --labels name -o {tmp_path}/d")
-    code, _, notes = run(capsys, f"convert {tmp_path}/d --to semantickitti -o {tmp_path}/k")
+def test_names_that_a_format_lacks_are_told(labelled, tmp_path, capsys):
+    command = f"convert {labelled[0]} --to semantickitti -o {tmp_path}/k"
+    code, _, notes = run(capsys, f"{command} --label 60")
     (line,) = (line for line in notes.splitlines() if "classes" in line)
-    assert (code, line.partition(":")[0]) == (0, "classes that the format lacks become 50")
-    assert ("crate" in line, "bicycle" in line) == (True, False)
-    labels = np.fromfile(next(tmp_path.glob("k/**/*.label")), np.uint16)
-    assert set(np.unique(labels)) == {0, 11, 50}
+    told, _, lacking = line.partition(": ")
+    assert (code, told) == (0, "classes that the format lacks become 60")
+    assert set(OURS) & set(lacking.split(", ")) == {"machine"}
 
 
-PCD = """VERSION 0.7
-FIELDS x y z
-SIZE 4 4 4
-TYPE F F F
-COUNT 1 1 1
-WIDTH {n}
-HEIGHT 1
-VIEWPOINT {place} 1 0 0 0
-POINTS {n}
-DATA binary
-"""
+PCD = beside(__file__, "head.pcd")
 """As https://pointclouds.org/documentation/tutorials/pcd_file_format.html says."""
 
 
@@ -356,12 +316,7 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
     assert seen == {(n, name) for n in range(len(samples)) for name in (*MASKS, "scan")}
 
 
-SHAPES = """<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>
-<geom type='sphere' size='1' pos='4 4 2' rgba='1 0 0 1'/>
-<geom type='box' size='.5 .6 .7' pos='8 2 1' euler='0 0 30'/>
-<geom type='cylinder' size='.5 1' pos='1 1 1'/>
-<geom type='capsule' size='.4 .8' pos='6 6 2' euler='40 0 0'/>
-<geom type='ellipsoid' size='.4 .8 1.2' pos='2 6 2'/></worldbody></mujoco>"""
+SHAPES = beside(__file__, "shapes.xml")
 VOLUMES = 1.07233, 1.5708, 1.60850, 1.68, 4.18879
 """Cubic metres, from the least: capsule, cylinder, ellipsoid, box and sphere."""
 

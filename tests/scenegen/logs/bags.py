@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scenegen.logs.bags import CLOUD, DEFINITIONS, LIVOX, ODOMETRY, TRANSFORMS
+from tests.command_line import beside
 
 BEGIN_S = 1_700_000_000.0
 PERIOD_S = 0.1
@@ -13,23 +14,12 @@ SPEED_MPS = 10.0
 """Along x."""
 POINT_TYPES = {"u1": 2, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 """Numbers of types in a PointField."""
-RULE = f"\n{80 * '='}\nMSG: "
-HEADER = "".join(DEFINITIONS[TRANSFORMS].partition(f"{RULE}std_msgs/Header")[1:])
-CUSTOM = f"""std_msgs/Header header
-uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
-{RULE}livox_ros_driver2/CustomPoint
-uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
-{HEADER}"""
-"""The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
-
-
-def definition(kind):
-    """The text of a type's definition."""
-    if kind != ODOMETRY:
-        return {**DEFINITIONS, LIVOX[0]: CUSTOM}[kind]
-    stores = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
-    text, _ = stores.get_typestore(stores.Stores.ROS2_HUMBLE).generate_msgdef(kind, ros_version=2)
-    return text
+TEXTS = {
+    **DEFINITIONS,
+    LIVOX[0]: beside(__file__, "CustomMsg.msg"),
+    ODOMETRY: beside(__file__, "Odometry.msg"),
+}
+"""Definitions of types; that of Livox is from github.com/Livox-SDK/livox_ros_driver2."""
 
 
 def header(frame, time_s):
@@ -97,7 +87,7 @@ class Bag:
             writer, schemas = Writer(file), {}
             for topic, time_s, kind, message in sorted(self.messages, key=lambda row: row[1]):
                 if kind not in schemas:
-                    schemas[kind] = writer.register_msgdef(kind, definition(kind))
+                    schemas[kind] = writer.register_msgdef(kind, TEXTS[kind])
                 when_ns = round(time_s * 1e9)
                 writer.write_message(topic, schemas[kind], message, log_time=when_ns)
             writer.finish()

@@ -16,6 +16,7 @@ from scenegen.worlds.clouds import Cloud, read_cloud
 from scenegen.worlds.tables import named_lidar
 from tests.command_line import ROOT, done
 from tests.refusals import refuses, refuses_command
+from tests.scenegen import cases
 
 HALF_M = np.array([12.0, 9.0, 3.0])
 """Half the size of the room, in whose middle sensors stand."""
@@ -30,11 +31,11 @@ UNIT = replace(
 """A unit of a VLP-16 with angles of its own."""
 
 
-def rays(sensor):
-    return sensor.directions_sensor.reshape(-1, 3)
+RAYS = UNIT.directions_sensor.reshape(-1, 3)
+RINGS = np.repeat(np.arange(16), VLP_16.shape[1])
 
 
-def cloud(directions, sigma_m=0.0, step_m=0.0, lost=0.0, **fields):
+def cloud(directions=RAYS, sigma_m=0.0, step_m=0.0, lost=0.0, **fields):
     """A scan of the room, with noise along rays, in steps, and with lost rays."""
     ranges = (HALF_M / np.maximum(np.abs(directions), 1e-9)).min(axis=1)
     ranges += np.random.default_rng(1).normal(0, sigma_m, len(ranges))
@@ -45,7 +46,7 @@ def cloud(directions, sigma_m=0.0, step_m=0.0, lost=0.0, **fields):
 
 
 def test_a_fitted_file_is_the_unit_that_scanned(standing, capsys):
-    (standing / "truth.toml").write_bytes(measure([cloud(rays(UNIT))], VLP_16).encode())
+    (standing / "truth.toml").write_bytes(measure([cloud()], VLP_16).encode())
     warehouse = ROOT / "scenes" / "warehouse.xml"
     noise = "range:0.012,dropout:0.03,quantise:0.002"
     scan = f"scan {warehouse} --flight --seed 3 --lidar truth.toml --noise {noise} -o scan.ply"
@@ -71,7 +72,7 @@ def test_a_fitted_file_is_the_unit_that_scanned(standing, capsys):
 
 
 def test_scans_in_any_order_are_one_unit():
-    scan = cloud(rays(UNIT), 0.01)
+    scan = cloud(sigma_m=0.01)
     mixed = Cloud(RNG.permutation(scan.points), "")
     one, both = measure([scan], VLP_16), measure([mixed, mixed], VLP_16)
     assert_allclose(one.elevations_deg, both.elevations_deg, atol=1e-6)
@@ -81,24 +82,23 @@ def test_scans_in_any_order_are_one_unit():
 
 def test_beams_that_begin_beside_the_centre_have_their_own_elevations():
     """By the field ring; 3 cm above the centre are 0.2° at the nearest wall."""
-    scan = cloud(rays(UNIT))
+    scan = cloud()
     raised = scan.points + np.array([0.0, 0.0, 0.03])
-    rings = np.repeat(np.arange(16), VLP_16.shape[1])
-    unit = measure([Cloud(raised, "", rings=rings)], VLP_16)
+    unit = measure([Cloud(raised, "", rings=RINGS)], VLP_16)
     assert_allclose(unit.off_deg, SHIFTS[unit.beams], atol=2e-3)
     assert_array_equal(np.sort(unit.beams), np.arange(16))
 
 
 def test_beams_without_returns_are_left_out():
-    elevation = angles_deg(rays(UNIT))[0]
-    unit = measure([cloud(rays(UNIT)[elevation > -10])], VLP_16)
+    elevation = angles_deg(RAYS)[0]
+    unit = measure([cloud(RAYS[elevation > -10])], VLP_16)
     assert sorted(VLP_16.elevations_deg[beam] for beam in unit.beams) == [*range(-9, 16, 2)]
-    refuses("few", measure, [cloud(rays(UNIT)[elevation > -6])], VLP_16)
+    refuses("few", measure, [cloud(RAYS[elevation > -6])], VLP_16)
 
 
 def test_noise_is_that_of_planes_alone():
     """Half of the room is corrugated, by 0.1 m."""
-    scan = cloud(rays(UNIT), 0.02)
+    scan = cloud(sigma_m=0.02)
     around = np.arctan2(scan.points[:, 1], scan.points[:, 0])
     waves = 1.0 + 0.01 * np.sin(60 * around) * (around > 0)
     planes = measure([scan, Cloud(scan.points * waves[:, None], "")], VLP_16).classes(0, RANGES_M)
@@ -108,45 +108,36 @@ def test_noise_is_that_of_planes_alone():
 
 @pytest.mark.parametrize("lost", [0.0, 0.1])
 def test_lost_rays_are_counted_on_a_grid(lost):
-    unit = measure([cloud(rays(UNIT), 0.01, lost=lost)], VLP_16)
+    unit = measure([cloud(RAYS, 0.01, lost=lost)], VLP_16)
     assert unit.facts()["lost"] == pytest.approx(lost, abs=0.01)
 
 
 def test_lost_rays_are_unknown_without_a_grid():
-    kept = RNG.random(len(rays(UNIT))) < 0.5
-    uneven = angles_of(rays(UNIT)[kept], jitter_deg=0.1)
+    up, around = np.radians(angles_deg(RAYS[RNG.random(len(RAYS)) < 0.5]))
+    around += np.radians(RNG.uniform(-0.1, 0.1, len(around)))
+    across = np.cos(up)
+    uneven = np.stack([across * np.cos(around), across * np.sin(around), np.sin(up)], axis=1)
     assert measure([cloud(uneven)], VLP_16).facts()["lost"] == "unknown"
-
-
-def angles_of(directions, jitter_deg):
-    up, around = np.radians(angles_deg(directions))
-    around = around + np.radians(RNG.uniform(-jitter_deg, jitter_deg, len(around)))
-    return np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=1)
 
 
 def test_steps_of_ranges_are_those_of_the_sensor():
     for step_m in (0.002, 0.0):
-        unit = measure([cloud(rays(UNIT), 0.01, step_m)], VLP_16)
+        unit = measure([cloud(RAYS, 0.01, step_m)], VLP_16)
         assert unit.quantum_m == step_m
-    rounded = Cloud(cloud(rays(UNIT), 0.01, 0.002).points.round(3), "")  # by a converter
+    rounded = Cloud(cloud(RAYS, 0.01, 0.002).points.round(3), "")  # by a converter
     assert measure([rounded], VLP_16).quantum_m == 0.0
 
 
 def test_a_field_ring_is_read(tmp_path):
-    points = cloud(rays(UNIT)).points.astype("f4")
-    rings = np.repeat(np.arange(16), VLP_16.shape[1])
-    table = np.zeros(len(points), [(name, "f4") for name in "xyz"] + [("ring", "u2")])
-    for axis, column in zip("xyz", points.T, strict=True):
-        table[axis] = column
-    table["ring"] = rings
-    np.save(tmp_path / "scan.npy", table)
-    np.column_stack([points, rings, rings]).astype("f4").tofile(tmp_path / "scan.pcd.bin")
+    points = cloud().points.astype("f4")
+    np.save(tmp_path / "scan.npy", np.rec.fromarrays([*points.T, RINGS], names="x,y,z,ring"))
+    np.column_stack([points, RINGS, RINGS]).astype("f4").tofile(tmp_path / "scan.pcd.bin")
     for name in ("scan.npy", "scan.pcd.bin"):
-        assert_array_equal(read_cloud(tmp_path / name).rings, rings)
+        assert_array_equal(read_cloud(tmp_path / name).rings, RINGS)
 
 
 def test_a_picture_has_beams_ranges_and_noise():
-    unit = measure([cloud(rays(UNIT), 0.01)], VLP_16)
+    unit = measure([cloud(sigma_m=0.01)], VLP_16)
     beams, returns, noise = draw_unit(unit).axes
     assert_allclose(beams.lines[0].get_xydata().T, [unit.elevations_deg, unit.off_deg])
     assert sum(bar.get_height() for bar in returns.patches) == len(unit.ranges_m)
@@ -154,22 +145,15 @@ def test_a_picture_has_beams_ranges_and_noise():
 
 
 def test_scans_of_another_sensor_are_refused(standing, capsys):
-    scan = cloud(rays(UNIT), step_m=0.002)
+    scan = cloud(step_m=0.002)
     moved = Cloud(scan.points + np.array([0.0, 0.0, 1.0]), "")
     refuses("moved", measure, [moved], VLP_16)
     refuses("nothing", measure, [Cloud(np.zeros((9, 3)), "")], VLP_16)
     refuses("steps", measure, [scan], HELIOS_16P)
     refuses("mm", measure, [Cloud(1e3 * scan.points, "")], VLP_16)
-    rings = np.repeat(np.arange(16.0), VLP_16.shape[1])
-    rings[rings == 3] = np.nan
+    rings = np.where(RINGS == 3, np.nan, RINGS)
     refuses("rings", measure, [Cloud(scan.points, "", rings=rings)], VLP_16)
     refuses("no channels", measure, [scan], MID_360)
-    np.save("scan.npy", cloud(rays(UNIT)).points)
-    for words in (
-        "ouster-os0-64 --against scan.npy",
-        "hesai-xt-32 --against none.npy",
-        "hesai-xt-32 --against scan.npy more.npy",
-        "hesai-xt-32 velodyne-vlp-16 --against scan.npy",
-        "velodyne-vlp-16 --fit mine.toml",
-    ):
+    np.save("scan.npy", cloud().points)
+    for (words,) in cases("logs/against_bad_use"):
         refuses_command(capsys, f"sensors {words}")

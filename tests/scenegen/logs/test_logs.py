@@ -5,7 +5,6 @@ import itertools
 import json
 import math
 import os
-import shutil
 import signal
 
 import numpy as np
@@ -28,38 +27,10 @@ from scenegen.worlds.place import read_place
 from tests.command_line import done
 from tests.conftest import contents
 from tests.refusals import refuses, refuses_command
-from tests.scenegen import cases
+from tests.scenegen import each_case
 from tests.scenegen.conftest import names
 from tests.scenegen.logs.bags import Bag, named
-
-# no face of a solid lies where voxels meet
-ROOM = """<mujoco><worldbody>
-<geom type="plane" size="0 0 1" pos="0 0 0.05"/>
-<geom type="box" size="0.45 0.45 2" pos="2.1 1.3 2"/>
-<geom type="cylinder" size="0.5 2" pos="-2.2 -1.6 2"/>
-<geom type="box" size="1 9 3" pos="8.05 0 3"/> <geom type="box" size="1 9 3" pos="-8.05 0 3"/>
-<geom type="box" size="9 1 3" pos="0 8.05 3"/> <geom type="box" size="9 1 3" pos="0 -8.05 3"/>
-</worldbody></mujoco>"""
-SENSOR = """sensor = "spinning"
-elevations_deg = [-40, -30, -20, -10, -5, 0, 5, 10, 20, 30]
-columns = 180
-max_range_m = 30.0
-"""
-RECORD = "scan room.xml --flight --sequence --length 6 --seed 3 --lidar mine.toml --noise intensity"
-
-
-@pytest.fixture
-def here(standing):
-    """A folder with a room and a sensor."""
-    (standing / "room.xml").write_text(ROOM)
-    (standing / "mine.toml").write_text(SENSOR)
-    return standing
-
-
-@pytest.fixture
-def ros():
-    """Needed to read and write recordings."""
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+from tests.scenegen.logs.conftest import RECORD, SENSOR
 
 
 def test_a_long_flight_keeps_its_bounds(here):
@@ -126,22 +97,33 @@ def test_scans_of_a_pattern_that_does_not_repeat_follow_each_other(here):
     assert other.time_s == 0.1
 
 
-def written(folder, count=5):
-    """The scans of a small log at tilted poses, written to `folder`."""
-    rng, scans = np.random.default_rng(0), []
+def tilted(count=5):
+    """Scans at tilted poses."""
+    rng = np.random.default_rng(0)
     for n in range(count):
         turn = rng.normal(size=4)
-        pose = Pose(rng.uniform(-3, 3, 3), turn / np.sqrt((turn**2).sum()))
-        points = rng.uniform(-9, 9, (40, 3)).astype("f4").astype("f8")
-        scans.append(LogScan(2.0 + n / 2, pose, points))
-    write_log(folder, scans)
+        pose = Pose(rng.uniform(-3, 3, 3), turn / np.linalg.norm(turn))
+        yield LogScan(2.0 + n / 2, pose, rng.uniform(-9, 9, (40, 3)).astype("f4").astype("f8"))
+
+
+def written(folder, count=5):
+    """The scans of a small log, written to `folder`."""
+    write_log(folder, scans := [*tilted(count)])
     return scans
 
 
-def close(log, scans):
+def clouds_in(folder, scans, names):
+    """A folder of their clouds by these names, without poses."""
+    folder.mkdir()
+    for scan, name in zip(scans, names, strict=True):
+        write_points(folder / f"{name}.ply", scan.points, None, {})
+    return folder
+
+
+def close(log, scans, atol=1e-8):
     pairs = zip(log.scans(), scans, strict=True)
     return all(
-        np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
+        np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=atol)
         and np.array_equal(one.points, other.points)
         and one.time_s == pytest.approx(other.time_s)
         for one, other in pairs
@@ -149,39 +131,26 @@ def close(log, scans):
 
 
 def test_every_layout_of_a_log_reads_back(tmp_path):
-    log, clouds, csv = (tmp_path / name for name in ("log", "clouds", "poses.csv"))
-    clouds.mkdir()
+    log, poses = tmp_path / "log", tmp_path / "log" / "poses.tum"
     scans = written(log)
     assert close(read_log(log), scans)
     refuses("a topic", read_log, log, topic="/points")
-    for scan in scans:
-        write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points, None, {})
-    rows = ["z,y,x,qw,qx,qy,qz,t,note"]
-    for line in (log / "poses.tum").read_text().splitlines():
-        time, x, y, z, *turn, w = line.split()
-        rows.append(",".join([z, y, x, w, *turn, time, "7"]))
-    csv.write_text("\n".join(rows))
-    for poses in (log / "poses.tum", csv):
-        assert close(read_log(clouds, poses=poses), scans)
     # more poses than clouds: found by time, those beyond the last one left out
-    shutil.copy(clouds / "2.000000.ply", clouds / "9.0.ply")
-    late = read_log(clouds, poses=csv)
+    times_s = [*(scan.time_s for scan in scans[:4]), 9.0]
+    late = read_log(clouds_in(tmp_path / "clouds", scans, times_s), poses=poses)
     assert late.without_pose == 1
-    assert close(late, scans)
+    assert close(late, scans[:4])
 
 
 @pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
 def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
-    rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
-    scans = written(tmp_path / "log.mcap")
-    types = None
-    if form.endswith(".bag"):
-        from rosbags.typesys import Stores, get_typestore
+    from rosbags.convert import convert
+    from rosbags.typesys import Stores, get_typestore
 
-        types = get_typestore(Stores.ROS1_NOETIC)
-    out, chosen = tmp_path / form.partition("/")[0], ((), (), (), ())
-    source = [tmp_path / "log.mcap"]
-    rosbags.convert(source, out, "sqlite3", 9, None, "message", None, types, *chosen)
+    scans = written(tmp_path / "log.mcap")
+    types = get_typestore(Stores.ROS1_NOETIC) if form.endswith(".bag") else None
+    source, out, chosen = tmp_path / "log.mcap", tmp_path / form.partition("/")[0], ((), (), (), ())
+    convert([source], out, "sqlite3", 9, None, "message", None, types, *chosen)
     assert close(read_log(tmp_path / form), scans)
 
 
@@ -189,19 +158,6 @@ def log_of(scans):
     """A log in memory."""
     times, poses = np.array([scan.time_s for scan in scans]), tuple(scan.pose for scan in scans)
     return Log(times, poses, 0, lambda first: iter(scans[first:]))
-
-
-def test_rays_without_a_return_change_no_map(tmp_path):
-    """A third of each scan is 0 0 0 of the sensor's, also where a driver moved the cloud."""
-    points = 6.03 * Lidar().directions_body.reshape(-1, 3)
-    lost, arm = np.arange(len(points)) % 6 < 2, np.array([0.0, 0.3, 1.2])
-    pose, maps = Pose.level((0.0, 0.0, 0.0)), []
-    for number, seen in enumerate((np.where(lost[:, None], 0, points) + arm, points[~lost] + arm)):
-        counts = ingest(log_of([LogScan(0.0, pose, seen)]), tmp_path / f"{number}", Fusing())
-        maps.append(read_place(tmp_path / f"{number}" / "place-000.npz").voxels)
-        expected = (~lost).sum(), lost.sum() * (number == 0)
-        assert (counts["returns"], counts["returns_left_out"]) == expected
-    assert np.array_equal(maps[0].states, maps[1].states)
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
@@ -225,20 +181,19 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     assert (off < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
 
 
-@pytest.mark.parametrize(("beside", "states"), [(True, [2, 1, 1]), (False, [1, 2, 1])])
+@pytest.mark.parametrize(("beside", "states"), [(True, [2, 2, 1]), (False, [1, 2, 1])])
 def test_free_beside_a_return_says_nothing_against_another(beside, states):
     """A voxel with one hit, and two to its side, free in fifty scans; a return lies between them,
     or far off."""
     hits, misses = np.zeros((2, 9, 9, 9), np.uint8)
-    cells = [(1, 1, 1), (1, 2, 1) if beside else (7, 7, 7), (1, 3, 1)]
-    seen = unknown_grid(GridSpec(shape=(9, 9, 9)), np.zeros(3))
-    seen.observed[cells[0]] = True
-    for _ in range(51):
+    once, often, never = (1, 1, 1), (1, 2, 1) if beside else (7, 7, 7), (1, 3, 1)
+    for n in range(51):
+        seen = unknown_grid(GridSpec(shape=(9, 9, 9)), np.zeros(3))
+        seen.observed[often if n else once] = True
+        seen.free[once] = seen.free[never] = n > 0
         _count(hits, misses, np.zeros(3, int), seen)
-        seen.observed[:], seen.free[:] = False, False
-        seen.observed[cells[1]], seen.free[cells[0]], seen.free[cells[2]] = True, True, True
     _settle(hits, misses, 0.2)
-    assert [hits[1, 1, 1], hits[7, 7, 7] or 1, hits[1, 3, 1]] == states
+    assert [hits[cell] for cell in (once, often, never)] == states
 
 
 NEAR = Fusing(every=2, reach_m=10, rise_m=5)
@@ -284,7 +239,7 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert contents(out) == contents(mended) == contents(whole)
 
 
-@pytest.mark.parametrize(("case", "file", "content"), cases("logs/logs"))
+@each_case("logs/logs", "case file content")
 def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, case, file, content):
     log = tmp_path / "log"
     written(log)
@@ -298,16 +253,14 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, case, file, co
 
 def test_what_poses_are_of_is_said_or_asked_for(tmp_path):
     """A camera that looks forward: x right, y down, z forward."""
-    log, turn = tmp_path / "sequences" / "00", np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
-    log.parent.mkdir()
+    log, poses = tmp_path / "sequences/00", tmp_path / "poses/00.txt"  # as KITTI's archives have it
+    for path in (log, poses):
+        path.parent.mkdir()
     scans = written(log)
     # the sensor, .3 m behind the camera and .1 m above it, in the camera's frame
-    camera = np.eye(4)
-    camera[:3, :3], camera[:3, 3] = turn, (0, -0.1, -0.3)
-    of_camera = [camera @ matrix_of(scan.pose) @ np.linalg.inv(camera) for scan in scans]
-    poses = tmp_path / "poses" / "00.txt"  # as KITTI's archives have it
-    poses.parent.mkdir()
-    np.savetxt(poses, [matrix[:3].reshape(-1) for matrix in of_camera])
+    camera = np.array([[0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+    of_camera = camera @ [matrix_of(scan.pose) for scan in scans] @ np.linalg.inv(camera)
+    np.savetxt(poses, of_camera[:, :3].reshape(-1, 12))
     images = "P0: 7 0 0 0 0 7 0 0 0 0 1 0\nP1: 7 0 0 1 0 7 0 0 0 0 1 0\n"  # as with KITTI's images
     (log / "calib.txt").write_text(images)
     assert close(read_log(log, poses_of="sensor"), scans)
@@ -319,68 +272,55 @@ def test_what_poses_are_of_is_said_or_asked_for(tmp_path):
     assert close(read_log(log, poses=log / "poses.tum"), scans)
     refuses("not said", read_log, log, poses=poses)
     (log / "poses.txt").unlink()
-    assert close(read_log(log), scans)
-    assert read_log(log).about["poses"] == "poses of the camera, moved by Tr, from 00.txt"
+    found = read_log(log)
+    assert close(found, scans)
+    assert found.about["poses"] == "poses of the camera, moved by Tr, from 00.txt"
 
 
 NAMED = {
-    "ns": "{seconds}{nanoseconds:09d}",
-    "µs": "{seconds}{microseconds:06d}",
-    "padded": "{seconds}_{nanoseconds:09d}",
-    "point": "{seconds}.{nanoseconds:09d}",
-    "nuScenes": "n008-2018__LIDAR_TOP__{seconds}{microseconds:06d}",
+    "ns": "{s}{us:06d}000",
+    "µs": "{s}{us:06d}",
+    "padded": "{s}_{us:06d}000",
+    "point": "{s}.{us:06d}",
+    "nuScenes": "n008-2018__LIDAR_TOP__{s}{us:06d}",
 }
 
 
 @pytest.mark.parametrize("form", NAMED)
 @pytest.mark.parametrize("begin_s", [1_700_000_000, 3_000])
 def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s):
-    scans, poses, clouds = written(tmp_path / "log"), tmp_path / "poses.tum", tmp_path / "clouds"
-    clouds.mkdir()
-    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
-    for row, scan in zip(rows, scans, strict=True):
-        at_ns = round(scan.time_s * 1e9) + begin_s * 10**9 + 123_456_000
-        row[0], (seconds, ns) = at_ns * 1e-9, divmod(at_ns, 10**9)
-        name = NAMED[form].format(seconds=seconds, nanoseconds=ns, microseconds=ns // 1000)
-        write_points(clouds / f"{name}.ply", scan.points, None, {})
-    np.savetxt(poses, [*rows, rows[-1] + np.eye(1, 8)[0] * 9], "%.9f")
-    log = read_log(clouds, poses=poses)
-    assert log.without_pose == 0
-    for pose, scan in zip(log.poses, scans, strict=True):
-        assert np.allclose(matrix_of(pose), matrix_of(scan.pose), atol=1e-5)
+    """There is a pose more than clouds, so that they are found by time."""
+    after_s = begin_s + 0.12345  # as finely as poses.tum has it
+    scans = [dataclasses.replace(scan, time_s=after_s + scan.time_s) for scan in tilted(6)]
+    write_log(tmp_path / "log", scans)
+    times_us = (divmod(round(1e6 * scan.time_s), 10**6) for scan in scans[:5])
+    names = [NAMED[form].format(s=seconds, us=microseconds) for seconds, microseconds in times_us]
+    clouds, poses = clouds_in(tmp_path / "clouds", scans[:5], names), tmp_path / "log" / "poses.tum"
+    assert close(read_log(clouds, poses=poses), scans[:5], atol=1e-5)
     if form == "padded":
-        shutil.copy(clouds / f"{name}.ply", clouds / f"{begin_s + 3}_5.ply")
+        (clouds / f"{names[0]}.ply").rename(clouds / f"{begin_s + 3}_5.ply")
         refuses(begin_s, read_log, clouds, poses=poses)
 
 
-def test_clouds_of_other_names_have_poses_in_order(tmp_path):
-    scans, poses, clouds = written(tmp_path / "log"), tmp_path / "poses.tum", tmp_path / "clouds"
-    clouds.mkdir()
-    for n, scan in enumerate(scans):
-        columns = np.pad(scan.points, ((0, 0), (0, 2)))
-        columns.astype("<f4").tofile(clouds / f"scan_{n:03d}.pcd.bin")
-    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
-    np.savetxt(poses, rows, "%.9f")
+@pytest.mark.parametrize("form", ["scan_{:03d}", "{:06d}"])
+def test_clouds_of_other_names_have_poses_in_order(tmp_path, form):
+    scans, poses = written(tmp_path / "log"), tmp_path / "log" / "poses.tum"
+    clouds = clouds_in(tmp_path / "clouds", scans, map(form.format, range(5)))
     assert close(read_log(clouds, poses=poses), scans)
-    np.savetxt(poses, rows[:-1], "%.9f")
-    refuses("a pose too few", read_log, clouds, poses=poses)
+    (clouds / f"{form.format(4)}.ply").unlink()
+    refuses("a cloud too few", read_log, clouds, poses=poses)
 
 
-@pytest.mark.parametrize("case", ["a point 300 km away", "1e3", "nan", "no data"])
+@pytest.mark.parametrize("case", ["a point 300 km away", "1e3", "nan"])
 def test_a_log_without_points_of_a_sensor_makes_no_maps(tmp_path, case):
-    log, out = tmp_path / "log", tmp_path / "out"
-    written(log)
-    for path in sorted((log / "velodyne").iterdir()):
-        if case in ("1e3", "nan"):
-            path.write_bytes(np.full(40, float(case), "<f4").tobytes())
+    scans, log = [*tilted()], tmp_path / "log"
     if case == "a point 300 km away":
-        values = np.fromfile(path, "<f4")
-        values[29] = 3e5
-        values.tofile(path)
-    if case == "no data":
-        (log / "poses.txt").rename(log / "metadata.yaml")
-    refuses(case, lambda: ingest(read_log(log), out, Fusing()))
-    assert not out.exists()
+        scans[4].points[9, 2] = 3e5
+    else:
+        scans = [dataclasses.replace(scan, points=float(case) * scan.points) for scan in scans]
+    write_log(log, scans)
+    refuses(case, lambda: ingest(read_log(log), tmp_path / "out", Fusing()))
+    assert not (tmp_path / "out").exists()
 
 
 def write_livox(path, scans, missing=0):
@@ -417,6 +357,6 @@ def test_cut_recordings_end_in_one_line(tmp_path, cut, ros):
     refuses(cut, lambda: list(read_log(path).scans()))
 
 
-@pytest.mark.parametrize("words", [words for (words,) in cases("logs/logs_bad_use")])
+@each_case("logs/logs_bad_use", "words")
 def test_bad_use_is_told(capsys, words):
     refuses_command(capsys, words)

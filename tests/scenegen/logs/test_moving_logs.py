@@ -5,19 +5,27 @@ import dataclasses
 import itertools
 import json
 import math
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lidarsim import AnalyticEngine, Pose
+from lidarsim import AnalyticEngine
 from lidarsim.noise.chain import Noise
 from scenegen.draw.source import named_world
 from scenegen.logs import Cruise
-from scenegen.logs.record import cruise_poses, out_of_the_way, period_s, record, write_log
+from scenegen.logs.record import (
+    cruise_poses,
+    matrix_of,
+    out_of_the_way,
+    period_s,
+    record,
+    write_log,
+)
 from scenegen.worlds.tables import named_lidar
 from tests.command_line import done
-from tests.scenegen.logs.test_logs import ROOM, SENSOR
+from tests.scenegen.logs.conftest import ROOM, SENSOR
 
 CLASSES = {"Pedestrian": 254, "Car": 252, "Misc": 259}
 
@@ -39,84 +47,63 @@ def recorded(flown, noise="none", **more):
     return record(world, AnalyticEngine.of, sensor, poses, Noise.parse(noise), seed=0, **more)
 
 
-def inside(points, middle, yaw, size, slack):
-    """Which points (n, 3) lie in an upright box."""
+def in_world(points, pose):
+    return points @ matrix_of(pose)[:3, :3].T + pose.position
+
+
+def check_held(own, points, middle, yaw, size):
+    """A mover's own points (n,) of all (n, 3) are those in its upright box."""
     x, y, z = (points - middle).T
     along, aside = math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x
-    return (np.abs([along, aside, z]) <= size[:, None] / 2 + slack).all(axis=0)
-
-
-def kitti_boxes(folder):
-    """Frame, track, class, middle (3,), yaw and size (3,) of each line of label_02.txt."""
-    for line in (folder / "label_02.txt").read_text().splitlines():
-        frame, track, kind, *numbers = line.split()
-        high, wide, long, x, y, z, yaw = map(float, numbers[7:])
-        middle = np.array([x, y, z + high / 2])
-        yield int(frame), int(track), CLASSES[kind], middle, yaw, np.array([long, wide, high])
+    beyond_m = (np.abs([along, aside, z]).T - np.array(size) / 2).max(axis=1)
+    assert (beyond_m[own] <= 1e-4).all()
+    assert own[beyond_m <= -1e-4].all()
 
 
 def test_boxes_of_a_folder_hold_the_points_of_their_track(flown, tmp_path):
     write_log(tmp_path / "log", recorded(flown))
     seen = 0
-    for frame, track, number, middle, yaw, size in kitti_boxes(tmp_path / "log"):
-        points = np.fromfile(tmp_path / f"log/velodyne/{frame:06d}.bin", "<f4").reshape(-1, 4)
-        labels = np.fromfile(tmp_path / f"log/labels/{frame:06d}.label", "<u4")
+    for line in (tmp_path / "log" / "label_02.txt").read_text().splitlines():
+        frame, track, kind, *numbers = line.split()
+        high, wide, long, x, y, z, yaw = map(float, numbers[7:])
+        points = np.fromfile(tmp_path / f"log/velodyne/{frame:0>6}.bin", "<f4").reshape(-1, 4)
+        labels = np.fromfile(tmp_path / f"log/labels/{frame:0>6}.label", "<u4")
         assert set(np.unique(labels[labels >> 16 == 0])) == {99}
-        own = labels >> 16 == track
-        assert (labels[own] & 0xFFFF == number).all()
-        within, sure = (inside(points[:, :3], middle, yaw, size, s) for s in (1e-4, -1e-4))
-        assert within[own].all()
-        assert own[sure].all()
+        own = labels >> 16 == int(track)
+        assert (labels[own] & 0xFFFF == CLASSES[kind]).all()
+        check_held(own, points[:, :3], (x, y, z + high / 2), yaw, (long, wide, high))
         seen += np.count_nonzero(own)
     assert seen > 500
 
 
-def test_markers_of_a_recording_hold_the_points_of_their_id(flown, tmp_path):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags is not installed")
-    from rosbags.typesys import Stores, get_typestore
+def test_markers_of_a_recording_hold_the_points_of_their_id(flown, tmp_path, ros):
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
 
     write_log(tmp_path / "log.mcap", recorded(flown))
-    messages = {}
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with rosbags.AnyReader([tmp_path / "log.mcap"], default_typestore=store) as reader:
-        for connection, time, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
-            messages.setdefault(connection.topic, []).append((time, message))
-    poses = [Pose(pose.position, pose.quaternion) for pose in flown[2]]
-    for pose, (_, cloud), (_, boxes) in zip(
-        poses, messages["/points"], messages["/movers"], strict=True
-    ):
-        fields = {field.name: field.offset for field in cloud.fields}
-        rows = cloud.data.reshape(-1, cloud.point_step)
-        points = rows[:, :12].copy().view("<f4") @ turn_of(pose).T + pose.position
-        track = rows[:, fields["mover"] : fields["mover"] + 2].copy().view("<u2")[:, 0]
+    messages = defaultdict(list)
+    with open(tmp_path / "log.mcap", "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            messages[channel.topic].append(message)
+    for pose, cloud, boxes in zip(flown[2], messages["/points"], messages["/movers"], strict=True):
+        offsets = {field.name: field.offset for field in cloud.fields}
+        rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step)
+        points = in_world(rows[:, :12].copy().view("<f4"), pose)
+        track = rows[:, offsets["mover"] :][:, :2].copy().view("<u2")[:, 0]
         for box in boxes.markers:
             place, turn, scale = box.pose.position, box.pose.orientation, box.scale
-            middle, size = np.array([place.x, place.y, place.z]), [scale.x, scale.y, scale.z]
-            yaw = 2 * math.atan2(turn.z, turn.w)
-            within, sure = (
-                inside(points, middle, yaw, np.array(size), slack) for slack in (1e-4, -1e-4)
-            )
-            own = track == box.id
+            middle, size = (place.x, place.y, place.z), (scale.x, scale.y, scale.z)
             assert box.header.frame_id == "map"
-            assert within[own].all()
-            assert own[sure].all()
-
-
-def turn_of(pose):
-    """The matrix of a level pose."""
-    w, _, _, z = pose.quaternion
-    return np.array([[w * w - z * z, -2 * w * z, 0], [2 * w * z, w * w - z * z, 0], [0, 0, 1]])
+            check_held(track == box.id, points, middle, 2 * math.atan2(turn.z, turn.w), size)
 
 
 def test_with_moving_each_point_is_on_its_mover_at_its_time(flown):
     """And the others are on none."""
     movers, found = flown[0].movers, 0
     for scan in itertools.islice(recorded(flown, moving=True, corrected=True), 0, None, 8):
-        points = scan.pose.position + scan.points @ turn_of(scan.pose).T
         tracks, times = scan.more["mover"], scan.more["t"]
-        for point, track, t in zip(points, tracks, times, strict=True):
+        for point, track, t in zip(in_world(scan.points, scan.pose), tracks, times, strict=True):
             gaps = movers.gaps_m(point, scan.time_s + float(t))
             assert gaps[track - 1] < 1e-3 if track else gaps.min() > 0
         for box in scan.boxes:
@@ -128,8 +115,8 @@ def test_with_moving_each_point_is_on_its_mover_at_its_time(flown):
 
 def test_noise_moves_no_point_to_another_mover(flown):
     clean, noisy = (
-        np.concatenate([s.more["mover"] for s in recorded(flown, n)])
-        for n in ("none", "range:0.02")
+        np.concatenate([scan.more["mover"] for scan in recorded(flown, noise)])
+        for noise in ("none", "range:0.02")
     )
     assert len(clean) == len(noisy)
     assert (clean == noisy).mean() > 0.9999
@@ -138,8 +125,7 @@ def test_noise_moves_no_point_to_another_mover(flown):
 def test_no_mover_comes_near_the_sensor(flown):
     world, sensor, poses = flown
     for number, pose in enumerate(poses):
-        gaps = world.movers.gaps_m(pose.position, number * period_s(sensor))
-        assert gaps.min() > 0.5
+        assert world.movers.gaps_m(pose.position, number * period_s(sensor)).min() > 0.5
 
 
 def test_a_recorded_log_tells_of_its_movers(standing, capsys):

@@ -8,7 +8,7 @@ import pytest
 
 from scenegen import load
 from scenegen.publish.upload import publish, read_sums
-from tests.conftest import contents, dataset_in
+from tests.conftest import contents, dataset_in, small_recipe
 from tests.refusals import refuses
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Repository
@@ -41,7 +41,8 @@ def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monke
     monkeypatch.setattr("scenegen.publish.upload.IN_COMMIT", 9)
     monkeypatch.setattr("scenegen.dataset.locate.MANY", 9)
     deep = asked.out.with_name("deep")
-    dataset_in(deep, counts={"train": 36, "val": 0, "test": 3}, shard_samples=3)
+    counts = {"train": 12, "val": 0, "test": 1}
+    dataset_in(deep, small_recipe(flight={"viewpoints": 1}), counts=counts, shard_samples=1)
     asked = replace(asked, dataset=deep)
     hub.refuse_after = 15
     refuses("interrupted", publish, asked)
@@ -51,7 +52,7 @@ def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monke
     assert len(hub.puts) == len(set(hub.puts))  # nothing went twice
     assert hub.tags == {staged.tag: commit}
     assert arrived(hub, asked)
-    assert load(f"hf://{asked.repository}")[31].world == 10
+    assert load(f"hf://{asked.repository}")[10].world == 10
     assert sum("/commit/" in line for line in hub.log) == 4
 
 

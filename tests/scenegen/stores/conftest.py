@@ -1,5 +1,7 @@
 """A bucket of a small server in this process, for it and the processes that it forks."""
 
+import shutil
+
 import pytest
 
 from benchmarks.served import Served
@@ -24,6 +26,12 @@ def store(server):
     """The folder where the objects of s3:// are kept."""
     server.home.mkdir()
     return server.home
+
+
+@pytest.fixture
+def there(store, made):
+    """The folder in the store of the dataset `made`, s3://lab/pillar."""
+    return shutil.copytree(made, store / "lab/pillar")
 
 
 def forget():

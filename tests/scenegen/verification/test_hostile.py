@@ -97,7 +97,7 @@ def test_what_passes_the_screen_but_is_no_world_is_named(folder):
 
 
 def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
-    monkeypatch.setattr("scenegen.verification.folder.SECONDS", 1.0)
+    monkeypatch.setattr("scenegen.verification.folder.SECONDS", 0.2)
     monkeypatch.setattr("scenegen.verification.folder.SECONDS_A_SAMPLE", 0.0)
     recipe = forge.read(folder)["recipe"]
     many = recipe["flight"] | {"iterations": 20_000, "flights_per_world": 1000}

@@ -34,17 +34,17 @@ QUICK = {check.name for check in CHECKS if check.quick}
 @pytest.mark.usefixtures("elsewhere")
 def test_a_dataset_as_made_passes_every_check_and_is_not_touched(originals, quick):
     folder, reported = originals["pillar"], []
-    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    begin = lambda samples: reported.append(-samples)  # noqa: E731
-    report = verify(folder, quick=quick, on_start=begin, on_done=reported.append)
+    times = lambda: {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}  # noqa: E731
+    before = times()
+    report = verify(
+        folder, quick=quick, on_start=lambda n: reported.append(-n), on_done=reported.append
+    )
     assert [check for check in report.checks if check.skipped or not check.ok] == []
     expected = [check for check in CHECKS if check.field in ("", *GROUPS[""]) and not check.part]
     names = [check.name for check in expected if check.quick or not quick]
     assert [check["name"] for check in json.loads(json.dumps(report.to_json()))["checks"]] == names
-    assert report.ok
-    assert report.samples == 12
-    assert sorted(reported) == [-12, 3, 3, 6]
-    assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+    assert (report.ok, report.samples, sorted(reported)) == (True, 12, [-12, 3, 3, 6])
+    assert times() == before
 
 
 def test_worlds_drawn_by_hand_pass(tmp_path):
@@ -226,12 +226,9 @@ OTHER = {"mujoco": "9.9"}
 def test_what_others_made_otherwise_fails_nothing_and_is_no_success(folder, changes):
     forge.sign(folder, seed=1, **changes)
     report = verify(folder)
-    (again,) = [check for check in report.checks if check.name == "regenerated"]
-    assert report.ok
-    assert report.differing == ("regenerated",)
-    assert again.ok
-    assert not again.skipped
-    assert again.differing == {"flights": 3}
+    (again,) = (check for check in report.checks if check.name == "regenerated")
+    assert (report.ok, report.differing) == (True, ("regenerated",))
+    assert (again.ok, again.skipped, again.differing) == (True, False, {"flights": 3})
     check_wording([*changes], again.detail)
 
 
@@ -250,13 +247,14 @@ def test_the_command_ends_with_three_if_others_made_other_bits(folder, capsys):
 
 def test_only_a_folder_without_a_dataset_raises(tmp_path):
     folder = tmp_path / "d"  # beside which lies no other test's dataset, to be suggested
+    manifest = folder / NAME
     folder.mkdir()
     refuses("empty", verify, folder)
-    (folder / NAME).touch()
-    os.truncate(folder / NAME, 3 << 30)
+    manifest.touch()
+    os.truncate(manifest, 3 << 30)
     refuses("huge", verify, folder)
-    (folder / NAME).unlink()
-    os.mkfifo(folder / NAME)
+    manifest.unlink()
+    os.mkfifo(manifest)
     refuses("pipe", verify, folder)
 
 

@@ -1,11 +1,6 @@
 """Scans, logs, maps and worlds are shown as samples are: in a box that holds
 them."""
 
-import base64
-import gzip
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -22,61 +17,66 @@ from scenegen.view import opened
 from scenegen.view.notebook import page_of, show
 from scenegen.worlds.movers import encoded
 from scenegen.worlds.place import encode_map
-from tests.command_line import done, refused
+from tests.command_line import ROOT, done, refused
 from tests.scenegen import refuses
 from tests.scenegen.test_moving_samples import moving as moving  # a fixture
+from tests.scenegen.view.test_page import Seen, array
 
-ROOT = Path(__file__).parents[3]
 POINTS = np.array([[3.0, 0.0, 0.5], [0.0, -2.0, 1.5], [1.0, 1.0, -1.0]])
 
 
-def samples_of(html):
-    """The samples that a page holds."""
-    text = html.split('id="data">')[1].split("</script>")[0]
-    return json.loads(text)["samples"]
+@pytest.fixture
+def saved(tmp_path):
+    """Writes points to a file; its path."""
+
+    def save(points):
+        np.save(tmp_path / "cloud.npy", points)
+        return tmp_path / "cloud.npy"
+
+    return save
 
 
 @pytest.fixture
-def cloud(tmp_path):
-    path = tmp_path / "cloud.npy"
-    np.save(path, POINTS)
-    return path
+def mapped(tmp_path):
+    """Writes a map of voxels of 0.5 m that have these states, and shows it."""
+
+    def show_map(states, corner=(0.0, 0.0, 0.0)):
+        path = tmp_path / "map.npz"
+        path.write_bytes(encode_map(VoxelMap(states, 0.5, np.array(corner)), "map"))
+        (look,) = opened.looks_of_world(path)
+        return look
+
+    return show_map
 
 
 @pytest.fixture
 def log(tmp_path):
     """Three scans of a sensor that moves along x and turns left."""
     poses = [Pose.level((float(n), 0.0, 1.0), n * np.pi / 2) for n in range(3)]
-    scans = [LogScan(time_s=float(n), pose=pose, points=POINTS) for n, pose in enumerate(poses)]
+    scans = [LogScan(float(n), pose, POINTS) for n, pose in enumerate(poses)]
     write_log(tmp_path / "log", scans)
     return tmp_path / "log"
 
 
-def test_a_scan_lies_in_its_box(cloud):
-    (look,) = opened.looks_of_scan(cloud)
+def test_a_scan_lies_in_its_box(saved):
+    (look,) = opened.looks_of_scan(saved(POINTS))
     low, high = look.corners
-    assert_allclose(look.points, POINTS)
-    assert (low <= POINTS).all()
-    assert (high >= POINTS).all()
+    assert_array_equal(look.points, POINTS)
+    assert ((low <= POINTS) & (high >= POINTS)).all()
     cells = look.grid.index(POINTS, look.origin)
-    assert look.masks["observed"].sum() == 3
-    assert look.masks["observed"][tuple(cells.T)].all()
+    assert_array_equal(np.argwhere(look.masks["observed"]), np.unique(cells, axis=0))
 
 
-def test_points_in_map_coordinates_have_a_box_without_a_sensor(tmp_path):
-    np.save(tmp_path / "utm.npy", POINTS + np.array([5e5, 5.4e6, 120.0]))
-    (look,) = opened.looks_of_scan(tmp_path / "utm.npy")
-    assert look.grid.voxel_m == 0.05
-    assert not look.has_sensor
-    assert look.figures()["returns"] == "3"
+def test_points_in_map_coordinates_have_a_box_without_a_sensor(saved):
+    (look,) = opened.looks_of_scan(saved(POINTS + np.array([5e5, 5.4e6, 120.0])))
+    assert (look.grid.voxel_m, look.has_sensor, look.figures()["returns"]) == (0.05, False, "3")
 
 
-def test_a_dense_scan_is_thinned_and_says_so(tmp_path, monkeypatch):
+def test_a_dense_scan_is_thinned_and_says_so(saved, monkeypatch):
     monkeypatch.setattr(opened, "MAX_POINTS", 10)
-    np.save(tmp_path / "dense.npy", np.random.default_rng(0).uniform(-5, 5, (95, 3)))
-    (look,) = opened.looks_of_scan(tmp_path / "dense.npy")
+    (look,) = opened.looks_of_scan(saved(np.random.default_rng(0).uniform(-5, 5, (95, 3))))
     assert len(look.points) == 10
-    assert look.missing == ("dense.npy: one point in 10 is drawn, 10 of 95",)
+    assert look.missing == ("cloud.npy: one point in 10 is drawn, 10 of 95",)
 
 
 def test_scans_of_a_log_lie_in_the_world(log):
@@ -94,26 +94,19 @@ def test_a_long_log_is_shown_in_part(log, monkeypatch):
     assert first.missing == ("2 of 3 scans are shown, evenly spread",)
 
 
-def test_a_map_shows_what_is_unknown(tmp_path):
+def test_a_map_shows_what_is_unknown(mapped):
     states = np.zeros((6, 5, 4), np.uint8)
     states[1:5, 1:4, 1:3] = FREE
     states[2, 2, 1] = OCCUPIED
-    path = tmp_path / "map.npz"
-    path.write_bytes(encode_map(VoxelMap(states, 0.5, np.array([1.0, 2.0, 3.0])), str(path)))
-    (look,) = opened.looks_of_world(path)
+    look = mapped(states, (1.0, 2.0, 3.0))
     centre = look.origin + (np.argwhere(look.masks["occupancy"]) + 0.5) * look.grid.voxel_m
-    assert (centre >= (2.0, 3.0, 3.5)).all()
-    assert (centre <= (2.5, 3.5, 4.0)).all()
+    assert ((centre >= (2.0, 3.0, 3.5)) & (centre <= (2.5, 3.5, 4.0))).all()
     assert look.masks["unknown"].mean() == pytest.approx((states == 0).mean(), abs=0.1)
     assert not look.has_sensor
 
 
-def test_a_map_without_free_space_is_shown(tmp_path):
-    states = np.full((4, 3, 2), OCCUPIED, np.uint8)
-    path = tmp_path / "map.npz"
-    path.write_bytes(encode_map(VoxelMap(states, 0.5, np.zeros(3)), str(path)))
-    (look,) = opened.looks_of_world(path)
-    assert look.masks["occupancy"].sum() >= 24
+def test_a_map_without_free_space_is_shown(mapped):
+    assert mapped(np.full((4, 3, 2), OCCUPIED, np.uint8)).masks["occupancy"].sum() >= 24
 
 
 def test_columns_and_poses_are_taken(log, tmp_path):
@@ -136,8 +129,8 @@ def test_a_world_is_shown_with_its_surfaces():
         "voxels are drawn where the sensor may fly and below, x -11 to 11 m, y -7 to 7 m, "
         "z -0.2 to 5 m; 103 of 240 solids reach beyond",
     )
-    (sample,) = samples_of(page_of(str(path)).html)
-    corners = np.frombuffer(gzip.decompress(base64.b64decode(sample["triangles"])), "<f4")
+    (sample,) = Seen(page_of(str(path)).html).data()["samples"]
+    corners = array(sample["triangles"], "<f4")
     assert len(corners) == sum(mesh.triangles.size for mesh in look.surfaces)
     assert sample["sensor"] is False
 
@@ -161,33 +154,33 @@ def test_a_box_is_held_by_few_voxels(low, extent):
 
 
 def test_a_box_that_no_page_holds_is_refused():
-    refuses("cut it", lambda: opened.box_around(np.zeros(3), np.full(3, 1e6)))
+    refuses("cut it", opened.box_around, np.zeros(3), np.full(3, 1e6))
 
 
-def test_a_cloud_without_returns_is_refused(tmp_path):
-    np.save(tmp_path / "empty.npy", np.full((4, 3), np.nan))
-    refuses("none of its points", lambda: opened.looks_of_scan(tmp_path / "empty.npy"))
+def test_a_cloud_without_returns_is_refused(saved):
+    refuses("none of its points", opened.looks_of_scan, saved(np.full((4, 3), np.nan)))
 
 
 def test_view_writes_a_page_of_a_log(capsys, log, tmp_path):
-    done(capsys, "view", log, "--html", tmp_path / "log.html")
-    page = (tmp_path / "log.html").read_text()
-    assert [sample["name"] for sample in samples_of(page)] == ["0.00 s", "1.00 s", "2.00 s"]
-    assert '"film": true' in page
-    assert TYPES[what_is(log)].film
+    done(capsys, f"view {log} --html {tmp_path}/log.html")
+    data = Seen((tmp_path / "log.html").read_text()).data()
+    assert [sample["name"] for sample in data["samples"]] == ["0.00 s", "1.00 s", "2.00 s"]
+    assert data["film"] is TYPES[what_is(log)].film is True
 
 
-def test_a_page_replaces_no_other_file(capsys, cloud, tmp_path):
+def test_a_page_replaces_no_other_file(capsys, saved):
+    cloud = saved(POINTS)
     before = cloud.read_bytes()
-    assert ".html" in refused(capsys, "view", cloud, "-o", cloud)
-    refuses("html", lambda: show(str(cloud), out=cloud))
+    assert ".html" in refused(capsys, f"view {cloud} -o {cloud}")
+    refuses("html", show, str(cloud), out=cloud)
     assert cloud.read_bytes() == before
 
 
-def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, cloud, made, tmp_path):
-    line = refused(capsys, "view", cloud, "--split", "test")
-    assert "--split: is not for the type scan" in line
-    line = refused(capsys, "view", made, "--columns", "4")
-    assert "--columns: is not for the type dataset" in line
+def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, saved, made, tmp_path):
     (tmp_path / "recipe.toml").write_text("kind = 'pillar'\n")
-    assert "recipe" in refused(capsys, "view", tmp_path / "recipe.toml")
+    for words, line in {
+        f"{saved(POINTS)} --split test": "--split: is not for the type scan",
+        f"{made} --columns 4": "--columns: is not for the type dataset",
+        f"{tmp_path}/recipe.toml": "recipe",
+    }.items():
+        assert line in refused(capsys, f"view {words}")

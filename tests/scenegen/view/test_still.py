@@ -14,9 +14,18 @@ from scenegen.view.look import Guess, Route
 from scenegen.view.stills import VEIL, draw
 from tests.command_line import ROOT, done, refused
 from tests.refusals import refuses
-from tests.scenegen import cases
+from tests.scenegen import each_case
 
-FIGURES = "completions", "distances", "paths", "example"
+ERRORS = {"missed (pale: one voxel off)", "invented (pale: one voxel off)"}
+PATHS = {"occ", "$own$", "start", "goal", "meets an obstacle"}
+COLUMNS = ["scan", "truth", "occ", "$own$"]
+FIGURES = {
+    "completions": (COLUMNS, {"sensor", *ERRORS, "unknown", "free"}),
+    "distances": (COLUMNS, {"sensor", "unknown", "free"}),
+    "paths": ([], PATHS),
+    "example": (["occ", "$own$", "truth"], PATHS),
+}
+"""Columns and legends."""
 
 
 @pytest.fixture(autouse=True)
@@ -45,14 +54,14 @@ def test_the_face_painted_last_is_met_first(seed):
     for spot in rng.uniform(quads.min(axis=(0, 1)), quads.max(axis=(0, 1)), (100, 2)):
         place = spot[0] * RIGHT + spot[1] * np.cross(EYE, RIGHT)
         cells = np.floor(place + depths * EYE).astype(int)
-        inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
-        hits = [tuple(cell) for cell in cells[inside] if mask[tuple(cell)]]
+        cells = cells[((cells >= 0) & (cells < mask.shape)).all(axis=1)]
+        hits = cells[mask[tuple(cells.T)]]
         painted = [n for n, quad in enumerate(quads) if Outline(quad).contains_point(spot)]
-        assert bool(hits) == bool(painted)
-        if hits:
+        assert bool(len(hits)) == bool(painted)
+        if painted:
             met += 1
-            assert tuple(voxels[painted[-1]]) == hits[0]
-            assert np.abs(corners[painted[-1]].mean(axis=0) - np.array(hits[0]) - 0.5).max() <= 0.5
+            assert tuple(voxels[painted[-1]]) == tuple(hits[0])
+            assert np.abs(corners[painted[-1]].mean(axis=0) - hits[0] - 0.5).max() <= 0.5
     assert met > 30
 
 
@@ -86,10 +95,6 @@ def texts(figure):
     return names, captions, {text.get_text() for text in legend.get_texts()}
 
 
-ERRORS = {"missed (pale: one voxel off)", "invented (pale: one voxel off)"}
-PATHS = {"occ", "$own$", "start", "goal", "meets an obstacle"}
-
-
 def test_a_sample_has_its_levels_below(look):
     level = look.origin[2] + look.grid.voxel_m * (look.grid.shape[2] // 2 - 0.5)
     names, captions, legend = texts(draw([look], title="a $ample"))
@@ -104,23 +109,14 @@ def test_parts_that_cannot_be_read_are_left_out(look):
     refuses("no part", draw, [replace(poorer, scans=())], error=ScenegenError)
 
 
-@pytest.mark.parametrize(
-    ("figure", "columns", "legend"),
-    [
-        ("completions", ["scan", "truth", "occ", "$own$"], {"sensor", *ERRORS, "unknown", "free"}),
-        ("distances", ["scan", "truth", "occ", "$own$"], {"sensor", "unknown", "free"}),
-        ("paths", [], PATHS),
-        ("example", ["occ", "$own$", "truth"], PATHS),
-    ],
-)
-def test_figures_name_what_they_show(look, figure, columns, legend):
+@pytest.mark.parametrize("figure", FIGURES)
+def test_figures_name_what_they_show(look, figure):
     look = predicted(look)
-    drawn = draw([look], figure)
-    assert (texts(drawn)[0], texts(drawn)[2]) == (columns, legend)
-    shown = [text for text in texts(drawn)[1] if text.startswith("IoU")]
-    assert shown == [look.iou(guess) for guess in look.guesses] * (
-        figure in ("completions", "example")
-    )
+    names, captions, legend = texts(draw([look], figure))
+    assert (names, legend) == FIGURES[figure]
+    expected = [look.iou(guess) for guess in look.guesses]
+    shown = [text for text in captions if text.startswith("IoU")]
+    assert shown == expected * (figure in ("completions", "example"))
 
 
 @pytest.mark.parametrize("figure", FIGURES)
@@ -130,22 +126,18 @@ def test_nothing_predicted_is_no_figure(look, figure):
 
 def test_rows_are_named_and_change_places(look):
     looks = [replace(predicted(look), name=name) for name in ("first", "last")]
-    columns = ["scan", "truth", "occ", "$own$"]
-    assert texts(draw(looks))[0] == [*columns, "first", "last"]
-    assert texts(draw(looks, paper=Paper(3.0)))[0] == ["first", "last", *columns]
+    assert texts(draw(looks))[0] == [*COLUMNS, "first", "last"]
+    assert texts(draw(looks, paper=Paper(3.0)))[0] == ["first", "last", *COLUMNS]
 
 
 def test_unknown_voxels_are_a_veil(look):
     known = np.arange(look.grid.shape[0])[:, None, None] < np.full(look.grid.shape, 9)
     panel = draw([replace(look, known=known, scans=(), tudf=None)]).axes[0]
-    faces = max(
-        (part for part in panel.collections if isinstance(part, PolyCollection)),
-        key=lambda part: len(part.get_facecolor()),
-    ).get_facecolor()
+    parts = (part for part in panel.collections if isinstance(part, PolyCollection))
+    faces = max((part.get_facecolor() for part in parts), key=len)
     truth = look.masks["occupancy"] & known
-    assert (faces[:, 3] == VEIL[3]).sum() == len(visible_faces(truth, ~known)[0]) - len(
-        visible_faces(truth)[0]
-    )
+    count, veiled = (len(visible_faces(truth, *veil)[0]) for veil in ((), (~known,)))
+    assert (faces[:, 3] == VEIL[3]).sum() == veiled - count
 
 
 @pytest.mark.parametrize(
@@ -162,7 +154,7 @@ def test_the_command_draws_sheets_and_worlds(words, here, capsys):
     assert (here / "deep/x.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("words", "fault"), cases("view/still"))
+@each_case("view/still", "words fault")
 def test_what_cannot_be_drawn_ends_in_one_line(words, fault, here, capsys):
     assert fault in refused(capsys, f"render {words}")
     assert not list(here.glob("x.*"))
