@@ -103,15 +103,14 @@ def test_a_mesh_stands_where_each_instance_is(kind, rng):
 
 def test_nodes_move_what_is_below_them():
     """Also a node that holds a camera; what is not in the scene is left out."""
-    matrix = [[0, 2, 0, 0], [-2, 0, 0, 0], [0, 0, 2, 0], [7, 8, 9, 1]]  # column by column
+    matrix = np.array([[0, 2, 0, 0], [-2, 0, 0, 0], [0, 0, 2, 0], [7, 8, 9, 1]])  # its columns
     file = File(cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}])
     nodes = [
-        {"matrix": np.ravel(matrix).tolist(), "children": [1], "camera": 0},
+        {"matrix": matrix.ravel().tolist(), "children": [1], "camera": 0},
         {"translation": [1, 0, 0], "scale": [1, 3, 1], "mesh": 0},
         {"mesh": 0},
     ]
-    x, y, z = (CORNERS * [1, 3, 1] + [1, 0, 0]).T
-    expected = np.stack([7 - 2 * y, 8 + 2 * x, 9 + 2 * z], axis=1)
+    expected = (CORNERS * [1, 3, 1] + [1, 0, 0]) @ matrix[:3, :3] + matrix[3, :3]
     assert_allclose(file.placed(*nodes, roots=[0]), [expected])
 
 
