@@ -1,6 +1,7 @@
 """Parts of samples that are asked for: their fields, digest and laws, and what breaks these."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scenegen.verification import verify
 from scenegen.worlds.labels import labels_by
 from tests.conftest import dataset_in, small_recipe
 from tests.refusals import refuses
+from tests.scenegen import each_case
 from tests.scenegen.conftest import drawn_unit, same
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -67,40 +69,20 @@ def test_normals_look_back_at_the_sensor():
     assert towards.max() < 0
 
 
-def within(mask, value):
-    """A change of a field of a sample, where a mask holds."""
-
-    def change(values, sample):
-        values[mask(sample)] = value
-
-    return change
-
-
-def solid(sample):
-    return sample["occupancy"]
-
-
-CHANGES = {
-    "flipped": ("return_normal", lambda values, sample: np.negative(values, out=values), "parts"),
-    "longer": ("return_normal", lambda values, sample: np.multiply(values, 1.1, out=values), ""),
-    "of nothing": ("return_normal", within(lambda it: ~np.isfinite(it["ranges"]), (0, 0, 1)), ""),
-    "unowned": ("voxel_geom", within(solid, -1), ""),
-    "of another geom": ("voxel_geom", within(solid, 1), "parts"),
-    "classless": ("return_class", within(lambda it: slice(None), 0), ""),
-    "of no class": ("voxel_class", within(solid, 999), ""),
-}
-"""By name: a field, how it is changed, and the check that finds it, by default that of laws."""
-
-
-@pytest.mark.parametrize("case", CHANGES)
-def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(whole, tmp_path, case):
-    folder, (name, change, check) = forge.copy(whole, tmp_path / "d"), CHANGES[case]
+@each_case("dataset/parts", "name where change check")
+def test_a_change_of_a_part_is_found_by_its_check_and_the_digest(
+    whole, tmp_path, name, where, change, check
+):
+    """A change is a factor, and what is added, where there are solids, no returns, or anything."""
+    folder, (factor, more) = forge.copy(whole, tmp_path / "d"), json.loads(change)
 
     def edit(arrays):
-        change(arrays[name][1], {field: values[1] for field, values in arrays.items()})
+        masks = {"solids": arrays["occupancy"], "no returns": ~np.isfinite(arrays["ranges"])}
+        place = 1, masks[where][1] if where else ...
+        arrays[name][place] = arrays[name][place] * factor + more
 
     forge.edit(folder, "train-00000.h5", edit)
-    assert {check or "part-laws", "digest"} <= failed(folder).keys()
+    assert {check, "digest"} <= failed(folder).keys()
 
 
 @pytest.mark.parametrize("part", [{"colour": True}, {"labels": "colour"}])

@@ -134,7 +134,7 @@ def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
     refuses("changed", open_data, written)
 
 
-@pytest.mark.parametrize("numbers", ["[1, 0]", "[2, 2]", "[0, 11]", "[99999999999999999999]"])
+@each_case("dataset/numbers", "numbers")
 def test_numbers_that_do_not_rise_within_the_split_are_refused(written, numbers):
     put(written, "datasets.0.samples.train", numbers)
     refuses(numbers, open_data, written)
@@ -206,14 +206,12 @@ def test_figures_that_are_signed_and_false_are_refused(kept):
     refuses("false", choose, kept, DENSE)
 
 
-@pytest.mark.parametrize("text", ["occupied", ">3", "weight>3", "occupied>>3", "free=1e"])
+@each_case("dataset/conditions", "text")
 def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text):
     refuses(text, Condition.of, text)
 
 
-@pytest.mark.parametrize(
-    ("sign", "held"), [("<", ".4"), ("<=", ".4 .5"), (">", ".6"), (">=", ".5 .6"), ("=", ".5")]
-)
+@each_case("dataset/signs", "sign held")
 def test_a_condition_says_what_its_sign_says(sign, held):
     condition = Condition.of(f" range_m {sign} 1000001.5 ")
     assert Condition.of(str(condition)) == condition

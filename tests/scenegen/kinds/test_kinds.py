@@ -122,12 +122,10 @@ def test_what_takes_too_much_or_leaves_its_bounds_is_refused(name, parameters):
     refuses(f"{name} {parameters}", lambda: draw(kind_of(name, parameters)))
 
 
-@pytest.mark.parametrize(
-    ("name", "values"), [("street", {"storeys": [0, 0]}), ("cave", {"size_m": [0.1, 0.1, 1]})]
-)
+@each_case("kinds/drawn", "name values")
 def test_what_does_not_go_together_is_refused(name, values, rng):
-    drawn = DrawnWorlds(make_recipe(name, {"world": values, "flight": {"margin_m": 0}}))
-    refuses(name, drawn.world, "train", 0, rng=rng)
+    tables = {"world": json.loads(values), "flight": {"margin_m": 0}}
+    refuses(name, DrawnWorlds(make_recipe(name, tables)).world, "train", 0, rng=rng)
 
 
 @pytest.mark.parametrize("name", sorted(set(kind_names()) - {"pillar", "geometric"}))

@@ -158,14 +158,9 @@ def test_what_cannot_be_read_is_refused(tmp_path, change):
     assert refuses(change, load_scene, tmp_path / "a.glb").startswith(f"{tmp_path}/a.glb: ")
 
 
-DAMAGES = {
-    "no file": lambda content: b"glTF",
-    "cut": lambda content: content[:-1],
-    "old": lambda content: content[:4] + b"\1" + content[5:],
-}
-
-
-@pytest.mark.parametrize("name", DAMAGES)
-def test_a_file_that_is_cut_or_old_is_refused(tmp_path, name):
-    (tmp_path / "a.glb").write_bytes(DAMAGES[name](File().encoded({"mesh": 0})))
-    refuses(name, load_scene, tmp_path / "a.glb")
+def test_a_file_that_is_cut_or_old_is_refused(tmp_path):
+    good, path = File().encoded({"mesh": 0}), tmp_path / "a.glb"
+    old = good.replace(b"glTF\2", b"glTF\1")
+    for case, content in {"no file": b"glTF", "cut": good[:-1], "old": old}.items():
+        path.write_bytes(content)
+        refuses(case, load_scene, path)

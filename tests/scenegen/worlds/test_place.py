@@ -117,23 +117,10 @@ def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
     assert "places or people, only their publisher can say" in card
 
 
-def test_samples_say_what_is_known(dataset):
-    samples = [sample for split in SPLITS for sample in scenegen.load(dataset, split)]
-    for sample in samples:
-        assert (sample.known | ~sample.occupancy).all()
-        assert sample.ray_known.mean() >= 0.65
-    shares = [sample.known.mean() for sample in samples]
-    assert 0.05 <= min(shares) < 0.6
-    assert max(shares) == 1.0  # all of the MJCF file's world is known
-
-
-@pytest.mark.parametrize(
-    ("more", "draws"),
-    [("", 500), ("accept.max_draws = 60", 60), ("flight.iterations = 1000000", 50)],
-)
+@each_case("worlds/draws", "more draws")
 def test_maps_get_more_draws_by_default(tmp_path, more, draws):
     plan = plan_of(tmp_path, write_map(tmp_path / "hall.npz", hall()), 1, more, val=0, test=0)
-    assert plan.manifest.tables.accept["max_draws"] == draws
+    assert plan.manifest.tables.accept["max_draws"] == int(draws)
 
 
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
