@@ -16,14 +16,12 @@ from scenegen.draw.sample import Sample
 from scenegen.draw.source import read_scenes
 from scenegen.worlds.recipe import preset
 from scenegen.worlds.traffic import PRESETS
-from tests.command_line import ROOT, python
+from tests.command_line import python
 from tests.conftest import small_recipe
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.conftest import built, same
 from tests.scenegen.dataset import SCENE
-
-FOREST = ROOT / "scenes" / "forest.xml"
 
 
 def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
@@ -114,10 +112,11 @@ def test_what_cannot_be_ends_in_a_line(source, options):
     refuses(f"{source} {options}", scenegen.stream, json.loads(source), **json.loads(options))
 
 
-def test_worlds_and_grids_that_cannot_be_mixed_end_in_a_line():
-    refuses("twice", scenegen.stream, [FOREST, FOREST])
+def test_worlds_and_grids_that_cannot_be_mixed_end_in_a_line(tmp_path):
+    (world := tmp_path / "world.xml").write_text(SCENE.format(x=4))
+    refuses("twice", scenegen.stream, [world, world])
     refuses("grids", scenegen.stream, ["pillar", small_recipe()])
-    refuses("no validation", scenegen.stream, str(FOREST), split="val")
+    refuses("no validation", scenegen.stream, str(world), split="val")
 
 
 def test_an_index_that_is_none_ends_in_a_line(made):

@@ -71,8 +71,8 @@ def test_courses_have_no_jumps(world):
     (place, heading, *_), (before, heading_before, *_) = (
         motions(movers, times_s) for times_s in (begins, begins - 1e-9)
     )
-    assert_allclose(place, before, atol=1e-5)
-    assert_allclose(heading, heading_before, atol=1e-5)
+    assert_allclose(place, before, atol=1e-7)
+    assert_allclose(heading, heading_before, atol=1e-7)
 
 
 def surface(shape, size, ways):
