@@ -13,9 +13,9 @@ RNG = np.random.default_rng(0)
 def room(count):
     """What a sensor 1.5 m above the floor sees of a room, (N, 3), float32, in no order."""
     around, up = RNG.uniform(-np.pi, np.pi, count), RNG.uniform(-0.4, 0.2, count)
-    rays = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=1)
+    rays = np.stack([np.cos(around), np.sin(around), np.tan(up)], axis=1)
     walls = np.array([6, 5, 1.5]) / np.maximum(np.abs(rays), 1e-9)
-    walls[rays[:, 2] > 0, 2] = np.inf  # no ceiling
+    walls[up > 0, 2] = np.inf  # no ceiling
     return (rays * walls.min(axis=1, keepdims=True)).astype("<f4")
 
 

@@ -131,14 +131,6 @@ def put(dataset, document, members):
     return path
 
 
-def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, monkeypatch):
-    monkeypatch.setattr("scenegen.dataset.archive.MAX_DOCUMENT_BYTES", 30)
-    for name in ("../up.obj", ".hidden", "long"):
-        document = f'<mujoco file="{name}"/>' + " " * 99 * (name == "long")
-        put(dataset, document, {name: "up"})
-        refuses(name, Dataset(dataset).world, "train", 0)
-
-
 def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, monkeypatch):
     document = b'<mujoco><asset><mesh file="mesh"/></asset></mujoco>'
     put(dataset, document, dict.fromkeys(("mesh", "unused", "esh"), b"v"))

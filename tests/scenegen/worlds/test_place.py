@@ -79,11 +79,11 @@ def test_flights_keep_away_from_voxels_not_free(tmp_path, rng):
     cells = np.argwhere(np.pad(place.voxels.states, 6) != FREE) - 6  # beyond it, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M
     for point in rng.uniform(*place.voxels.bounds, (60, 3)):
-        gaps = np.maximum(np.maximum(low - point, point - low - VOXEL_M), 0.0)
+        gaps = point - np.clip(point, low, low + VOXEL_M)
         nearest = min(np.linalg.norm(gaps, axis=1).min(), 1.0)
         assert place.clearance.at(*point) == pytest.approx(nearest, abs=1e-9)
-    bounds = np.array(ORIGIN) + VOXEL_M * np.array([[1, 1, 1], [95, 95, 24]])
-    assert place.flight_bounds == pytest.approx(bounds)
+    corners = np.array([[1, 1, 1], [95, 95, 24]])
+    assert place.flight_bounds == pytest.approx(ORIGIN + VOXEL_M * corners)
 
 
 def test_a_dataset_of_maps_passes_every_check(dataset):
