@@ -120,11 +120,16 @@ SQUARE = np.array([[0.0, 0, 1], [4, 0, 1], [4, 4, 1], [0, 4, 1]])
 
 
 def test_a_loop_runs_at_one_speed_but_for_corners():
-    course = without_stop(SQUARE, 2.0, 1.5, 3.0)
+    """Whose pieces meet where corners differ, too."""
+    course = without_stop(np.insert(SQUARE, 3, [2, 5, 1], axis=0), 2.0, 1.5, 3.0)
     assert course.begin_s[0] == 0
     assert (course.begin_s / TICK_S % 1 == 0).all()
-    speeds = np.linalg.norm(course.pieces[:, :3, 1], axis=1)
+    start, linear, square, _ = np.moveaxis(course.pieces[:, :3], 2, 0)
+    speeds = np.linalg.norm(linear, axis=1)
     assert_allclose(speeds, speeds[0], rtol=1e-3)
+    lasting = np.diff(course.begin_s, append=PERIOD_S)[:, None]
+    ends = start + lasting * (linear + lasting * square)
+    assert_allclose(ends, np.roll(start, -1, axis=0), atol=1e-9)
 
 
 @pytest.mark.parametrize("bend_m", [1e-6, 1e-3, 0.02])
