@@ -9,8 +9,13 @@ from scenegen.draw.sample import GROUPS
 from tests.command_line import beside
 
 OF_POSES = ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint")
-"""Fields that a second scan from the same poses does not change."""
 FIELDS_OF_ANY = [name for name in GROUPS[""] if name not in ("world", "viewpoint")]
+
+
+def of_poses(split):
+    """What a second scan from the same poses does not change."""
+    return [[getattr(sample, name).tobytes() for name in OF_POSES] for sample in split]
+
 
 SCENE = beside(__file__, "scene.xml")
 """A world, as the text of a file."""

@@ -28,7 +28,7 @@ def members_of(path, name):
 def test_a_world_is_found_by_its_number_written_in_one_way(tmp_path):
     for number in ("000000", "000017", "999999", "1000000", "199999999"):
         assert members_of(tmp_path / "a.zip", f"{number}.xml") == (b"<mujoco/>", {})
-    for number in ("17", "0000017", "1234567890", "00001a", "٠٠٠٠١٧"):
+    for number in (".hidden", "17", "0000017", "1234567890", "00001a", "٠٠٠٠١٧"):
         refuses(number, members_of, tmp_path / "a.zip", f"{number}.xml")
 
 

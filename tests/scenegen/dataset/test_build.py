@@ -2,6 +2,7 @@
 for another."""
 
 import errno
+import itertools
 import json
 import os
 import shutil
@@ -18,13 +19,12 @@ import pytest
 from scenegen import SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
-from scenegen.dataset import shard as shards
 from scenegen.dataset.build import build
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME
-from scenegen.dataset.shard import ShardSpec, read_report
-from tests.conftest import DRAWN, THREE, contents, picky_recipe, plan_of, small_recipe, stop_at_val
+from scenegen.dataset.shard import ShardSpec, compress, read_report
+from tests.conftest import THREE, contents, picky_recipe, plan_of, small_recipe, stop_at_val
 from tests.refusals import refuses
 from tests.scenegen import cases, each_case
 from tests.scenegen.conftest import same
@@ -33,14 +33,14 @@ from tests.scenegen.verification.forge import edit_manifest, read
 pytestmark = pytest.mark.usefixtures("drawn_once")
 
 COUNTS = {"train": 13, "val": 3, "test": 4}
-MORE = {"train": 20, "val": 3, "test": 8}
+MORE, FEW = {"train": 20, "val": 3, "test": 8}, {"seed": 5, "counts": THREE}
 SEED = 3
 """One at which every shard rejects worlds, and all but one viewpoints, too."""
 
 
-def plan(folder, *, recipe=None, counts=COUNTS, **options):
-    options = {"seed": SEED, "shard_samples": 6, **options}
-    return plan_of(folder, recipe or picky_recipe(), counts=counts, **options)
+def plan(folder, *, recipe=None, **options):
+    options = {"seed": SEED, "counts": COUNTS, "shard_samples": 6, **options}
+    return plan_of(folder, recipe or picky_recipe(), **options)
 
 
 def make(folder, *, workers=1, **options):
@@ -62,7 +62,7 @@ def whole(once):
 @pytest.fixture(scope="session")
 def few(once):
     """Few samples of another seed."""
-    return once("build-few", lambda folder: make(folder, seed=5, counts=THREE))
+    return once("build-few", lambda folder: make(folder, **FEW))
 
 
 @pytest.fixture
@@ -71,25 +71,13 @@ def folder(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "d"))
 
 
-def test_the_number_of_workers_changes_no_byte(tmp_path, whole):
-    DRAWN.clear()  # which workers would inherit
-    make(tmp_path / "two", workers=2)
-    assert contents(tmp_path / "two") == contents(whole)
-
-
 def test_a_chunk_is_the_same_wherever_a_threads_stack_lies():
     """The shorter it is, the more stacks ISA-L alone gives other bytes on: here one in some
     sixty."""
     values = np.frombuffer(b"abcdefgh" + bytes(range(24)) + b"abcdefgh", np.uint8)
-    together = threading.Barrier(400)
-
-    def pack(_):
-        together.wait()
-        return shards.compress(values)
-
-    before = threading.stack_size(1 << 18)
+    before, together = threading.stack_size(1 << 18), threading.Barrier(400)
     with ThreadPoolExecutor(400) as pool:
-        (packed,) = set(pool.map(pack, range(400)))
+        (packed,) = set(pool.map(lambda _: together.wait() + 1 and compress(values), range(400)))
     threading.stack_size(before)
     assert zlib.decompress(packed) == values.tobytes()
 
@@ -101,8 +89,8 @@ def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
     assert read(few)["digest"] != digest
     assert "tudf" not in read(tmp_path / "c")["fields"]
     for split in SPLITS:
-        stored, compact_split = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
-        assert all(same(a, b) for a, b in zip(stored, compact_split, strict=True))
+        both = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
+        assert all(itertools.starmap(same, zip(*both, strict=True)))
 
 
 def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, tmp_path):
@@ -159,55 +147,23 @@ def test_going_on_with_other_parameters_is_refused_by_name(folder, whole):
     assert contents(folder) == contents(whole)
 
 
-def replace(folder, counts=THREE):
-    """Put another dataset in its place; by default the few samples."""
-    build(plan(folder, seed=5, counts=counts), force=True)
-
-
-MINE = "notes.txt rays.npy train-00099.worlds.zip test-00050.h5 dataset.part-a.json"
+MINE = "train-00003.h5 notes.txt rays.npy train-00099.worlds.zip test-00050.h5 dataset.part-a.json"
 
 
 def test_force_replaces_a_dataset_and_none_of_a_users_files(folder, few):
-    """Whatever they are called: another dataset's shard that a user put there is his, too."""
+    """Whatever they are called: another dataset's shard that a user put there is his, too. A file
+    in the way of a new shard ends it before anything is touched."""
     mine = dict.fromkeys(MINE.split(), b"mine")
     mine["train-00098.h5"] = (few / "train-00000.h5").read_bytes()
     for name, content in mine.items():
         (folder / name).write_bytes(content)
     before = contents(folder)
     make(folder)
+    longer = plan(folder, seed=5, counts=THREE | {"train": 24})
+    refuses("a user's shard", build, longer, force=True)
     assert contents(folder) == before
-    replace(folder)
+    build(plan(folder, **FEW), force=True)
     assert contents(folder) == contents(few) | mine
-
-
-def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(folder):
-    (folder / "train-00003.h5").write_bytes(b"mine")  # beyond the shards of the dataset there
-    before = contents(folder)
-    refuses("a user's shard", replace, folder, {"train": 24, "val": 0, "test": 0})
-    assert contents(folder) == before
-
-
-@pytest.mark.parametrize(("listed", "killed_at"), [(False, 1), (True, 8)])
-def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, monkeypatch):
-    """The dataset that was there may have been killed itself before it listed its shards."""
-    if not listed:
-        edit_manifest(folder, shards=[], complete=False, digest=None)
-        (folder / "train-00001.h5").unlink()  # its worlds were put there first
-    plain, removed = Path.unlink, []
-
-    def dies(path, missing_ok=False):
-        if path.parent == folder and path.suffix != ".tmp":
-            if len(removed) == killed_at:
-                raise KeyboardInterrupt
-            removed.append(path)
-        plain(path, missing_ok)
-
-    monkeypatch.setattr(Path, "unlink", dies)
-    with pytest.raises(KeyboardInterrupt):
-        replace(folder)
-    monkeypatch.undo()
-    replace(folder)
-    assert contents(folder) == contents(few)
 
 
 @pytest.mark.parametrize(
@@ -228,22 +184,20 @@ def test_jobs_that_finish_while_another_works_lose_nothing(
 
     monkeypatch.setattr(owner, name, overtaken)
     outcome = build(parts, shard_range=(0, 1))
-    assert outcome.complete
-    assert outcome.samples_written == parts.shards[0].samples
+    assert (outcome.complete, outcome.samples_written) == (True, parts.shards[0].samples)
     assert contents(tmp_path / "d") == contents(whole)
 
 
 def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(whole, tmp_path):
     parts = plan(tmp_path / "parts")
-    first, last = (parts.folder / parts.shards[n].file for n in (0, -1))
+    last = len(parts.shards) - 1
     build(parts, shard_range=(0, 1))
-    build(parts, shard_range=(len(parts.shards) - 1, len(parts.shards)))
-    first.write_bytes(first.read_bytes()[:500])
-    with h5py.File(last, "r+") as file:
+    build(parts, shard_range=(last, last + 1))
+    os.truncate(parts.folder / parts.shards[0].file, 500)
+    with h5py.File(parts.folder / parts.shards[last].file, "r+") as file:
         file["position"][0, 0] += 1e-9
-    between = build(parts, shard_range=(1, len(parts.shards) - 1))
-    assert not between.complete
-    assert between.shards_missing == 2
+    between = build(parts, shard_range=(1, last))
+    assert (between.complete, between.shards_missing) == (False, 2)
     assert_finished(tmp_path / "parts", whole)
 
 
@@ -263,48 +217,29 @@ def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, op
 
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    for force in (False, True):
-        refuses(f"force {force}", build, plan(tmp_path), force=force)
+    refuses("force True", build, plan(tmp_path), force=True)
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
     refuses("a file", make, tmp_path / "thesis.tex")
-    (tmp_path / NAME).write_text('{"format": "somebody else\'s"}')
-    refuses("another's manifest", make, tmp_path)
 
 
-STRANGE = {
-    "parameters": ([1, 2], np.nan),
-    "worlds_sha256": (1.5, ""),
-    "first_world": ("none", 7),
-    "rejected": ("[1", "[" * 5000, [b"x"], '{"worlds": [], "viewpoints": {"a": 1e999}}', 3),
-}
-
-
-def test_a_shard_of_strange_content_counts_as_absent(folder):
+@each_case("dataset/strange", "name value")
+def test_a_shard_of_strange_notes_counts_as_absent(folder, name, value):
     shard = plan(folder).shards[0]
-    path = folder / shard.file
-    whole = path.read_bytes()
+    assert read_report(folder, (shard, None))
+    with h5py.File(folder / shard.file, "r+") as file:
+        del file.attrs[name]
+        file.attrs.update({name: json.loads(value)} if value else {})
+    assert read_report(folder, (shard, None)) is None
 
-    def is_absent(change, *words):
-        path.write_bytes(whole)
-        with h5py.File(path, "r+") as file:
-            change(file, *words)
-        return read_report(folder, (shard, None)) is None
 
-    def note(file, name, value=None):
-        if value is None:
-            del file.attrs[name]
-        else:
-            file.attrs[name] = value
-
-    def cut(file, name, axes, mask):
+@pytest.mark.parametrize(
+    ("name", "axes", "mask"), [("world", 1, 0), ("ranges", 3, 1), ("tudf", 4, 0)]
+)
+def test_a_shard_with_a_cut_chunk_counts_as_absent(folder, name, axes, mask):
+    shard = plan(folder).shards[0]
+    with h5py.File(folder / shard.file, "r+") as file:
         file[name].id.write_direct_chunk((0,) * axes, b"few", mask)
-
-    assert not is_absent(note, "note", "which nobody reads")
-    for name, values in STRANGE.items():
-        for value in (None, *values):
-            assert is_absent(note, name, value), (name, value)
-    for name, axes, mask in (("world", 1, 0), ("ranges", 3, 1), ("tudf", 4, 0)):
-        assert is_absent(cut, name, axes, mask)
+    assert read_report(folder, (shard, None)) is None
 
 
 def test_a_full_disk_ends_in_one_line_and_loses_nothing(tmp_path, monkeypatch, whole):

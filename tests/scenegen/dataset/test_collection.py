@@ -21,7 +21,7 @@ from scenegen.draw.source import read_scenes
 from scenegen.verification import verify
 from scenegen.worlds.kinds import training_kinds
 from tests.command_line import beside
-from tests.conftest import contents, dataset_in, plan_of, scene_recipe, small_recipe
+from tests.conftest import contents, dataset_in, scene_recipe, small_recipe
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.conftest import built
@@ -66,18 +66,16 @@ def kinds(dataset, split):
 
 def test_samples_come_by_weight_and_know_their_kind(mixed):
     assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze-hard"] * 4
-    assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze-hard"]
-    by_kind = mixed.split("test").by_kind()
-    assert list(by_kind) == ["pillar", "clutter", "maze-hard"]
-    assert list(map(len, by_kind.values())) == [3, 1, 1]
+    by_kind = mixed.split("test").by_kind().items()
+    expected = [("pillar", 3), ("clutter", 1), ("maze-hard", 1)]
+    assert [(kind, len(samples)) for kind, samples in by_kind] == expected
 
 
 def test_worlds_of_a_collection_have_numbers_of_their_own(mixed):
     samples = mixed.split("train")
-    assert len(set(samples.names)) == len(samples) == 20
-    assert samples.count_worlds() == 10
-    for n, sample in enumerate(samples):
-        assert samples.names[n] == ("train", sample.world, sample.viewpoint)
+    names = [("train", sample.world, sample.viewpoint) for sample in samples]
+    assert samples.names == names
+    assert (len(set(names)), samples.count_worlds()) == (20, 10)
     first = mixed.datasets[2].world("train", 0)
     assert mixed.world("train", samples[16].world) == first
     with pytest.raises(DatasetError):
@@ -87,18 +85,12 @@ def test_worlds_of_a_collection_have_numbers_of_their_own(mixed):
 def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe, tmp_path):
     (pillars, _), *_ = read_components(recipe)
     counts = {"train": 12, "val": 3, "test": 3}
-    alone = built(plan_of(tmp_path / "alone", pillars, seed=4, counts=counts))
+    alone = dataset_in(tmp_path / "alone", pillars, seed=4, counts=counts)
+    first, *others = mixed.datasets
+    assert alone.digest == first.digest
     for split in SPLITS:
-        members = (samples_of(dataset, split) for dataset in (alone, *mixed.datasets[1:]))
+        members = (samples_of(dataset, split) for dataset in (alone, *others))
         assert samples_of(mixed, split) == list(itertools.chain(*members))
-
-
-def test_datasets_are_read_together_without_a_file_that_lists_them(mixed, changed):
-    (changed / COLLECTION).unlink()
-    for names in (changed, [changed / member.folder.name for member in mixed.datasets]):
-        together = open_data(names)
-        assert sorted(samples_of(together, "train")) == sorted(samples_of(mixed, "train"))
-        assert together.split("train").count_worlds() == 10
 
 
 def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, changed, recipe):
@@ -108,21 +100,19 @@ def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, changed, rec
     assert contents(changed) == contents(Path(mixed.name))
 
 
-def test_another_collection_is_replaced_where_force_is_given(changed, mixed, tmp_path):
-    path = tmp_path / "r.toml"
-    path.write_text(f'{SMALL}[[component]]\nkind = "rooms"\n[[component]]\nkind = "maze"\n')
-    generate = partial(scenegen.generate, recipe=path, out=changed, n=2, **TRAIN)
+def test_another_collection_is_replaced_where_force_is_given(changed, mixed, recipe):
+    recipe.write_text(f'{SMALL}[[component]]\nkind = "rooms"\n[[component]]\nkind = "maze"\n')
+    generate = partial(scenegen.generate, recipe=recipe, out=changed, n=2, **TRAIN)
     refuses("without force", generate)
     assert contents(changed) == contents(Path(mixed.name))
     assert kinds(generate(force=True), "train") == ["rooms", "maze"]
 
 
-@pytest.mark.parametrize("force", [False, True])
-def test_a_folder_with_other_files_does_not_become_a_collection(recipe, tmp_path, force):
-    out = tmp_path / "mine"
-    out.mkdir()
+def test_a_folder_with_other_files_does_not_become_a_collection(recipe, tmp_path):
+    """Even by force; without it, test_strangers shows."""
+    (out := tmp_path / "mine").mkdir()
     (out / "thesis.tex").write_text("years of work")
-    refuses("thesis", scenegen.generate, recipe=recipe, out=out, force=force, **COUNTS)
+    refuses("thesis", scenegen.generate, recipe=recipe, out=out, force=True, **COUNTS)
     assert contents(out) == {"thesis.tex": b"years of work"}
 
 
@@ -136,54 +126,52 @@ def test_no_value_in_a_collections_list_ends_in_a_traceback(changed, path):
             open_data(changed)
 
 
-def test_datasets_that_do_not_go_together_are_refused(mixed, tmp_path):
-    folder = dataset_in(tmp_path / "d").folder
-    longer = {"counts": {**TRAIN, "train": 6}, "compact": True}
-    other_grid = {"recipe": small_recipe(grid={"shape": (16, 16, 16)})}
+def test_datasets_that_do_not_go_together_are_refused(tmp_path):
+    def make(name, **options):
+        return dataset_in(tmp_path / name, **options).folder
+
+    folder, other_grid = make("d"), small_recipe(grid={"shape": (16, 16, 16)})
     refuses("d", open_data, [folder, folder])
-    for name, options in {"longer": longer, "other grid": other_grid}.items():
-        refuses(name, open_data, [folder, dataset_in(tmp_path / name, **options).folder])
-    other_seed = dataset_in(tmp_path / "other seed", seed=1).folder
-    assert len(open_data([folder, other_seed]).split("train")) == 6
+    refuses("longer", open_data, [folder, make("longer", counts={**TRAIN, "train": 6})])
+    refuses("other grid", open_data, [folder, make("other grid", recipe=other_grid)])
+    assert len(open_data([folder, make("other seed", seed=1)]).split("train")) == 6
 
 
 def test_no_world_from_a_file_is_in_two_splits(tmp_path):
     def dataset_of(x, split):
-        folder = tmp_path / f"{x}-{split}"
-        folder.with_suffix(".xml").write_text(SCENE.format(x=x))
-        counts = dict.fromkeys(SPLITS, 0) | {split: 3}
-        source = read_scenes(folder.with_suffix(".xml"), counts, seed=0)
-        return built(plan_dataset(folder, scene_recipe(), source, seed=0, counts=counts))
+        scene, counts = tmp_path / f"{x}-{split}.xml", dict.fromkeys(SPLITS, 0) | {split: 3}
+        scene.write_text(SCENE.format(x=x))
+        source = read_scenes(scene, counts, seed=0)
+        plan = plan_dataset(scene.with_suffix(""), scene_recipe(), source, seed=0, counts=counts)
+        return built(plan)
 
     trained = dataset_of(4, "train")
     assert len(open_data([trained, dataset_of(5, "test")]).split("test")) == 3
     refuses("two", open_data, [trained, dataset_of(4, "test")])
 
 
-def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(tmp_path):
-    (tmp_path / "r.toml").write_text(DIFFERENT)
-    different = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", n=6, **TRAIN)
+def test_datasets_of_other_sensors_noises_and_scan_counts_go_together(recipe, tmp_path):
+    recipe.write_text(DIFFERENT)
+    different = scenegen.generate(recipe=recipe, out=tmp_path / "d", n=6, **TRAIN)
     assert verify(different.name).ok
     samples = different.split("train")
     for n, sample in enumerate(samples):
         home = samples.home(n)
-        assert sample.lidar == home.lidar
-        assert sample.ranges.shape == home.lidar.shape
-        assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
+        assert (sample.lidar, sample.ranges.shape) == (home.lidar, home.lidar.shape)
+        assert len(sample.scans()) == home.mapping.scans
         fused = fuse(sample.scans()[::-1], sample.grid, sample.origin, home.mapping)
         assert np.array_equal(sample.free, fused.free)
 
 
 def test_without_components_every_kind_has_the_same_weight():
     plans = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class").datasets
-    assert [plan.folder.name for plan in plans] == list(training_kinds())
-    assert [plan.samples for plan in plans] == [100 / len(plans)] * len(plans)
+    shares = {plan.folder.name: plan.samples for plan in plans}
+    assert shares == dict.fromkeys(training_kinds(), 100 / len(plans))
 
 
-def test_components_of_one_kind_are_numbered_and_draw_other_worlds(tmp_path):
-    path = tmp_path / "r.toml"
-    path.write_text(SMALL + 2 * '[[component]]\nkind = "pillar"\n')
-    pillars = scenegen.generate(recipe=path, out=tmp_path / "d", n=8, **TRAIN)
+def test_components_of_one_kind_are_numbered_and_draw_other_worlds(recipe, tmp_path):
+    recipe.write_text(SMALL + 2 * '[[component]]\nkind = "pillar"\n')
+    pillars = scenegen.generate(recipe=recipe, out=tmp_path / "d", n=8, **TRAIN)
     assert [dataset.folder.name for dataset in pillars.datasets] == ["pillar-000", "pillar-001"]
     assert len({sample.ranges.tobytes() for sample in pillars.split("train")}) == 8
 
@@ -212,12 +200,11 @@ stages = ["", "dropout:0.5"]
 
 def test_a_domain_draws_with_every_combination_of_what_it_lists(recipe):
     recipe.write_text(RECIPE.replace("[[component]]", DOMAIN + "[[component]]", 1))
-    components = read_components(recipe)
-    weights = [weight for _, weight in components]
-    assert [sum(weights[n : n + 8]) for n in range(0, len(weights), 8)] == [3, 1, 1]
-    beside = scenegen.stream({str(recipe): 1, components[0][0]: 3})
+    parts, weights = zip(*read_components(recipe), strict=True)
+    assert np.reshape(weights, (3, 8)).sum(axis=1).tolist() == [3, 1, 1]
+    beside = scenegen.stream({str(recipe): 1, parts[0]: 3})
     assert [beside.part(n)[0] for n in range(800)].count(24) == 600
-    settings = {(part.lidar.rows, part.mapping.scans, part.noise) for part, _ in components[:8]}
+    settings = {(part.lidar.rows, part.mapping.scans, part.noise) for part in parts[:8]}
     assert settings == set(itertools.product((2, 3), (1, 2), (Noise(), Noise.parse("dropout:0.5"))))
 
 
@@ -230,11 +217,9 @@ def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(recipe):
         [part for part, _ in read_components(recipe, seed=n)] for n in (3, 3, 4)
     )
     assert drawn == again != reseeded
-    rows = [
-        (part.lidar.rows, part.noise.stages[0].sigma_m, *part.flight.altitude_m)
-        for part in drawn[::2]
-    ]
-    for numbers, (low, high) in zip(np.transpose(rows), BOUNDS, strict=True):
-        assert low <= min(numbers) < max(numbers) <= high
+    rows = [(it.lidar.rows, it.noise.stages[0].sigma_m, *it.flight.altitude_m) for it in drawn[::2]]
+    lowest, highest = zip(*BOUNDS, strict=True)
+    assert ((lowest <= np.min(rows, axis=0)) & (np.max(rows, axis=0) <= highest)).all()
+    assert np.ptp(rows, axis=0).all()
     settings = scenegen.stream(str(recipe), seed=3).settings
     assert [noise for _, _, noise in settings] == [part.noise.spelled() for part in drawn]

@@ -4,6 +4,7 @@ dataset."""
 import itertools
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 
@@ -15,17 +16,19 @@ from scenegen.dataset.shard import read_report
 from tests.conftest import contents, picky_recipe, plan_of
 
 COUNTS = {"train": 6, "val": 0, "test": 3}
-SEED = 19
-"""One at which every shard rejects at least one world and one viewpoint, and few more."""
+SEED, OTHER = 19, 5
+"""The first is one at which every shard rejects at least one world and one viewpoint, and few
+more."""
 CHANGES = ("os.mkdir", "os.rename", "os.remove")
 
 
-def plan(folder):
-    return plan_of(folder, picky_recipe(), seed=SEED, counts=COUNTS, shard_samples=6)
+def plan(folder, seed=SEED):
+    return plan_of(folder, picky_recipe(), seed=seed, counts=COUNTS, shard_samples=6)
 
 
 def build_and_die(folder, at):
-    """Build, and be killed just before the change numbered `at` of what lies in the folder."""
+    """Build in place of what is there, and be killed just before the change numbered `at` of what
+    lies in the folder."""
     changes = itertools.count()
 
     def watch(event, words):
@@ -34,7 +37,7 @@ def build_and_die(folder, at):
             os.kill(os.getpid(), signal.SIGKILL)
 
     sys.addaudithook(watch)
-    build(plan(folder))
+    build(plan(folder), force=True)
 
 
 def killed(folder, at):
@@ -45,18 +48,32 @@ def killed(folder, at):
 
 
 @pytest.mark.usefixtures("drawn_once")
-def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
-    whole = plan(tmp_path / "whole")
-    build(whole)
-    for shard in whole.shards:
-        rejected = read_report(whole.folder, (shard, None)).rejected
+@pytest.mark.parametrize(("there", "step"), [(None, 1), (OTHER, 3)])
+def test_a_kill_before_any_change_of_a_file_changes_nothing(there, step, tmp_path):
+    """Where nothing is there, or a dataset that goes: the same command finishes what was begun, and
+    another dataset takes its place by force."""
+    whole = {seed: plan(tmp_path / f"{seed}", seed) for seed in (SEED, OTHER)}
+    for each in whole.values():
+        build(each)
+    for shard in whole[SEED].shards:
+        rejected = read_report(whole[SEED].folder, (shard, None)).rejected
         assert min(counts.total() for counts in rejected.values()) > 0
     written = []
-    while killed(folder := tmp_path / f"killed-{len(written)}", len(written)):
+    for at in itertools.count(step=step):
+        folder, other = tmp_path / f"killed-{at}", tmp_path / f"other-{at}"
+        if there:
+            shutil.copytree(whole[there].folder, folder)
+        if not killed(folder, at):
+            break
         for path in folder.glob("*.h5"):
             with h5py.File(path) as file:
                 assert len(file["world"]) > 0
-        written.append(build(plan(folder)).samples_written)
-        assert contents(folder) == contents(whole.folder)
-    assert len(written) >= 12  # six files, each begun and put in its place
-    assert set(written) == {9, 3, 0}  # kills fell before, between and after the two shards
+        if folder.exists():
+            shutil.copytree(folder, other)
+        written.append(build(plan(folder), force=bool(there)).samples_written)
+        assert contents(folder) == contents(whole[SEED].folder)
+        build(plan(other, OTHER), force=True)
+        assert contents(other) == contents(whole[OTHER].folder)
+    assert step * len(written) >= 12  # six files, each begun and put in its place
+    # kills fell before, between and after the two shards
+    assert there or set(written) == {9, 3, 0}

@@ -58,12 +58,6 @@ def test_any_writers_values_are_read(shard, tmp_path, libver, options, samples):
     assert bits(read_all(shard)) == bits(shard_arrays(shard))
 
 
-def test_contiguous_data_are_refused(shard, tmp_path):
-    with h5py.File(tmp_path / "x.h5", "w") as file:
-        file.update(shard_arrays(shard))
-    refuses("contiguous", read_all, tmp_path / "x.h5")
-
-
 def test_a_shard_is_closed_when_nobody_holds_it(shard, tmp_path):
     path = tmp_path / "x.h5"
     path.write_bytes(shard.read_bytes())

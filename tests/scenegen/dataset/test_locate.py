@@ -1,7 +1,6 @@
 """Where datasets are: paths stay paths, the Hub is asked by name alone, and what it sends is
 checked."""
 
-import json
 import socket
 from pathlib import Path
 
@@ -19,12 +18,11 @@ NAME = "hf://ada/small-pillars"
 
 
 @pytest.mark.parametrize(
-    "path", ["ada/pillar", "hf:/ada/pillar", "./hf:", "", "HF://a/b", "./s3://b", "S3://b/x", "s3:"]
+    "path", ["ada/pillar", "hf:/ada/pillar", "", "HF://a/b", "./s3://b", "s3:"]
 )
 def test_a_path_stays_a_path(path, monkeypatch):
     monkeypatch.setattr(socket.socket, "connect", pytest.fail)
-    assert locate(path) == Path(path)
-    assert locate(Path(path)) == Path(path)
+    assert locate(path) == locate(Path(path)) == Path(path)
     assert locate(Path("s3://b/x")) == Path("s3:/b/x")
 
 
@@ -64,12 +62,11 @@ def test_without_network_the_copy_serves(published, hub, monkeypatch):
 
 def test_damage_and_strangers_files_are_refused(published, hub, tmp_path):
     files = published.files("v1")
-    manifest = json.loads(files["dataset.json"])
-    cases = {"[]": b"[]", "no JSON": b"not json"}
-    for name in ("../../../up.h5", "*", "train-00000.h5\n"):
-        manifest["shards"][0]["file"] = name
-        cases[name] = json.dumps(manifest).encode()
-    cases = {case: {"dataset.json": content} for case, content in cases.items()}
+    good, names = files["dataset.json"], ("../../../up.h5", "*", "train-00000.h5\\n")
+    named = {name: good.replace(b"train-00000.h5", name.encode()) for name in names}
+    cases = {
+        case: {"dataset.json": it} for case, it in {"[]": b"[]", "no JSON": b"x", **named}.items()
+    }
     for case, changes in (cases | {"other": {"train-00001.h5": b"other"}}).items():
         hub.repositories["eve/x"] = repository = Repository()
         repository.commit(files | changes)

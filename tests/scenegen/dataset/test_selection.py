@@ -28,7 +28,7 @@ from scenegen.dataset.selection import (
 from scenegen.view.inspect import inspect
 from tests.command_line import done
 from tests.conftest import COUNTS, dataset_in, small_recipe
-from tests.refusals import refuses, refuses_command
+from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.dataset import NASTY, put, samples_of
 
@@ -45,9 +45,20 @@ def two_kinds(once):
     return once("two_kinds", make)
 
 
+@pytest.fixture(scope="session")
+def measured(once, two_kinds):
+    """The same with its measures beside it; not to be changed."""
+
+    def make(folder):
+        for member in open_data(shutil.copytree(two_kinds, folder, dirs_exist_ok=True)).datasets:
+            inspect(member, keep=True)
+
+    return once("two_kinds_measured", make)
+
+
 @pytest.fixture
 def folder(two_kinds, tmp_path):
-    """A copy of it, to change."""
+    """A copy of the first, to change."""
     return shutil.copytree(two_kinds, tmp_path / "two_kinds")
 
 
@@ -66,63 +77,55 @@ def lists(numbers):
 
 
 def with_conditions(*texts, **more):
-    return Choice(where=tuple(map(Condition.of, texts)), **more)
-
-
-MEASURES_CHOSEN = with_conditions("returned>0.3", "range_m<4.5", most=5)
+    return Choice(**more | {"where": tuple(map(Condition.of, texts))})
 
 
 def plain_loop(dataset, choice):
     """What a loop over all samples takes."""
-    taken = {}
+    taken, worlds = {}, choice.worlds or ((0, 99),)
     for name in choice.splits:
         split, numbers = dataset.split(name), []
         for number, sample in enumerate(split):
-            values = {"sample": number, "world": sample.world, "viewpoint": sample.viewpoint}
-            values |= {measure: of(sample) for measure, of in MEASURES.items()}
-            in_worlds = [first <= sample.world < stop for first, stop in choice.worlds]
+            names = {it.name for it in choice.where} & MEASURES.keys()
+            values = {name: MEASURES[name](sample) for name in names}
+            values |= {"sample": number, "world": sample.world, "viewpoint": sample.viewpoint}
+            kind = split.home(number).graded
             if (
-                (not choice.kinds or split.home(number).graded in choice.kinds)
-                and (not in_worlds or any(in_worlds))
-                and all(
-                    SIGNS[bound.sign](values[bound.name], bound.value) for bound in choice.where
-                )
+                kind in (choice.kinds or (kind,))
+                and any(first <= sample.world < stop for first, stop in worlds)
+                and all(SIGNS[it.sign](values[it.name], it.value) for it in choice.where)
             ):
                 numbers.append(number)
         taken[name] = numbers[: choice.most]
     return taken
 
 
-@pytest.mark.parametrize("kept", [False, True])
-@each_case("dataset/choices", "choice")
-def test_what_is_chosen_is_what_a_plain_loop_takes(choice, kept, folder):
-    settings = json.loads(choice)
-    dataset, choice = open_data(folder), with_conditions(*settings.pop("where", ()), **settings)
-    if kept:
-        for member in dataset.datasets:
-            inspect(member, keep=True)
-    assert bool(kept_measures(dataset)) == kept
+@pytest.mark.parametrize("name", ["two_kinds", "measured"])
+@each_case("dataset/choices", "settings", json.loads)
+def test_what_is_chosen_is_what_a_plain_loop_takes(settings, name, request):
+    dataset = open_data(request.getfixturevalue(name))
+    assert bool(kept_measures(dataset)) == (name == "measured")
+    choice = with_conditions(*settings.get("where", ()), **settings)
     expected = plain_loop(dataset, choice)
     assert lists(choose(dataset, choice)) == expected
     assert 0 < sum(map(len, expected.values())) < 2 * sum(COUNTS.values())
 
 
 def test_workers_choose_the_same(two_kinds):
-    dataset, choice = open_data(two_kinds), MEASURES_CHOSEN
+    dataset, choice = open_data(two_kinds), with_conditions("returned>0.3", "range_m<4.5", most=5)
     assert lists(choose(dataset, choice, workers=2)) == lists(choose(dataset, choice))
 
 
 def test_a_selection_reads_as_the_samples_that_were_chosen(two_kinds, tmp_path):
-    conditions = "occupied>=0.02", "sample<20"
-    dataset, choice = open_data(two_kinds), with_conditions(*conditions, worlds=((1, 9),), most=3)
+    dataset = open_data(two_kinds)
+    choice = with_conditions("occupied>=0.02", "sample<20", worlds=((1, 9),), most=3)
     numbers = choose(dataset, choice)
     (tmp_path / "s.json").write_bytes(encode_selection(dataset, numbers, choice, tmp_path))
     selection = open_data(tmp_path / "s.json")
-    for split in SPLITS:
-        every = samples_of(dataset, split)
-        assert samples_of(selection, split) == [every[n] for n in numbers[split]]
-        names = dataset.split(split).names
-        assert selection.split(split).names == [names[n] for n in numbers[split]]
+    for split, chosen in numbers.items():
+        every, names = samples_of(dataset, split), dataset.split(split).names
+        assert samples_of(selection, split) == [every[n] for n in chosen]
+        assert selection.split(split).names == [names[n] for n in chosen]
 
 
 def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
@@ -131,7 +134,7 @@ def test_a_selection_of_a_dataset_that_changed_is_refused(written, folder):
     refuses("changed", open_data, written)
 
 
-@pytest.mark.parametrize("numbers", ["[1, 0]", "[2, 2]", "[0, 11]", "[99999999999999999999]"])
+@each_case("dataset/numbers", "numbers")
 def test_numbers_that_do_not_rise_within_the_split_are_refused(written, numbers):
     put(written, "datasets.0.samples.train", numbers)
     refuses(numbers, open_data, written)
@@ -161,20 +164,13 @@ def test_the_command_writes_what_every_command_reads(two_kinds, tmp_path, capsys
     done(capsys, f"take {two_kinds} --kind geometric --n 4 --quiet -o {tmp_path}/four.json")
     selection = open_data(tmp_path / "four.json")
     assert [len(selection.split(split)) for split in SPLITS] == [4, 2, 4]
-    assert "geometric" in done(capsys, f"inspect {tmp_path}/four.json")
 
 
-def test_where_no_sample_is_as_asked_for_nothing_is_written(two_kinds, tmp_path, capsys):
-    refuses_command(capsys, f"take {two_kinds} --kind cave -o {tmp_path}/none.json")
-    assert not (tmp_path / "none.json").exists()
-
-
-def test_means_over_a_world_are_chosen_by_where_measures_are_kept(folder):
-    dataset = Dataset(folder / "pillar")
+def test_means_over_a_world_are_chosen_by_where_measures_are_kept(two_kinds, measured):
     choice = with_conditions("world_occupied>=0.02", splits=("train",))
-    refuses("not kept", choose, dataset, choice)
-    inspect(dataset, keep=True)
-    samples, shares = dataset.split("train"), {}
+    refuses("not kept", choose, Dataset(two_kinds / "pillar"), choice)
+    dataset, shares = Dataset(measured / "pillar"), {}
+    samples = dataset.split("train")
     for sample in samples:
         shares.setdefault(sample.world, []).append(sample.occupancy.mean())
     expected = [n for n, sample in enumerate(samples) if np.mean(shares[sample.world]) >= 0.02]
@@ -182,22 +178,21 @@ def test_means_over_a_world_are_chosen_by_where_measures_are_kept(folder):
 
 
 @pytest.fixture
-def kept(dataset):
-    """A dataset with its measures beside it."""
-    inspect(Dataset(dataset), keep=True)
-    return Dataset(dataset)
+def kept(measured, tmp_path):
+    """A dataset with its measures beside it, to change."""
+    return Dataset(shutil.copytree(measured / "pillar", tmp_path / "kept"))
 
 
 DENSE = with_conditions("occupied>=0.02")
 
 
 def test_damaged_measures_are_measured_again(kept):
-    undamaged, expected = measures_file(kept).read_bytes(), lists(choose(kept, DENSE))
-    edited = []
-    for place in (len(undamaged) // 2, len(undamaged) - DIGEST_BYTES - 1, len(undamaged) - 1):
-        edited.append(bytearray(undamaged))
-        edited[-1][place] ^= 1
+    good, expected = measures_file(kept).read_bytes(), lists(choose(kept, DENSE))
     short = encode_measures(np.concatenate(list(kept_measures(kept).values()))[1:])
+    edited = [
+        good[:place] + bytes([good[place] ^ 1]) + good[place + 1 :]
+        for place in (len(good) // 2, len(good) - DIGEST_BYTES - 1, len(good) - 1)
+    ]
     for content in (*edited, short, b"", hashlib.sha256().digest()):
         measures_file(kept).write_bytes(content)
         assert kept_measures(kept) == {}
@@ -211,14 +206,12 @@ def test_figures_that_are_signed_and_false_are_refused(kept):
     refuses("false", choose, kept, DENSE)
 
 
-@pytest.mark.parametrize("text", ["occupied", ">3", "weight>3", "occupied>>3", "free=1e"])
+@each_case("dataset/conditions", "text")
 def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text):
     refuses(text, Condition.of, text)
 
 
-@pytest.mark.parametrize(
-    ("sign", "held"), [("<", ".4"), ("<=", ".4 .5"), (">", ".6"), (">=", ".5 .6"), ("=", ".5")]
-)
+@each_case("dataset/signs", "sign held")
 def test_a_condition_says_what_its_sign_says(sign, held):
     condition = Condition.of(f" range_m {sign} 1000001.5 ")
     assert Condition.of(str(condition)) == condition

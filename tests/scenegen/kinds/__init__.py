@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from scenegen.worlds.drawing import Drawing
 
-Geom = mujoco.mjtGeom
+Geom, BOUNDS = mujoco.mjtGeom, np.array([[0.0, 0, 0], [1, 1, 1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Solid:
 
 def draw(kind, seed=0):
     """The solids of one world, in the order in which they are added."""
-    spec = Drawing(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
+    spec = Drawing(BOUNDS)
     kind.add_to(spec, rng=np.random.default_rng(seed))
     return [Solid(g.type, np.array(g.size), np.array(g.pos), np.array(g.quat)) for g in spec.geoms]
 

@@ -16,28 +16,25 @@ from scenegen.draw.sample import Sample
 from scenegen.draw.source import read_scenes
 from scenegen.worlds.recipe import preset
 from scenegen.worlds.traffic import PRESETS
-from tests.command_line import ROOT, python
+from tests.command_line import python
 from tests.conftest import small_recipe
 from tests.refusals import refuses
 from tests.scenegen import each_case
 from tests.scenegen.conftest import built, same
 from tests.scenegen.dataset import SCENE
 
-FOREST = ROOT / "scenes" / "forest.xml"
-
 
 def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
-    scenes = tmp_path / "scenes"
-    scenes.mkdir()
-    for x in range(4, 8):
-        (scenes / f"{x}.xml").write_text(SCENE.format(x=x))
-    counts = {"train": 1, "val": 1, "test": 2}
-    source = read_scenes(scenes, counts, seed=2)
-    plan = plan_dataset(tmp_path / "d", preset("scene"), source, seed=2, counts=counts)
+    (scenes := tmp_path / "scenes").mkdir()
+    files = [scenes / f"{x}.xml" for x in range(4, 8)]
+    for x, file in enumerate(files, start=4):
+        file.write_text(SCENE.format(x=x))
+    options = {"counts": {"train": 1, "val": 1, "test": 2}, "seed": 2}
+    plan = plan_dataset(tmp_path / "d", preset("scene"), read_scenes(scenes, **options), **options)
     stored, stream = built(plan).split("test"), scenegen.stream(str(scenes), seed=2, split="test")
     assert all(same(stream[n], stored[n]) for n in range(2))
-    for x in (4, 5):
-        (scenes / f"{x}.xml").unlink()
+    for file in files[:2]:
+        file.unlink()
     refuses("two", scenegen.stream, scenes)
 
 
@@ -92,19 +89,13 @@ def test_reading_goes_on_where_a_state_says():
     stream = scenegen.stream(small_recipe(), samples=5)
     reader = iter(stream)
     begun = [next(reader) for _ in range(2)]
-    state = json.dumps(reader.state_dict())
+    state = json.dumps(good := reader.state_dict())
     assert len(state) < 100
     resumed = iter(scenegen.stream(small_recipe(), samples=5))
     resumed.load_state_dict(json.loads(state))
-    everything = zip([*begun, *resumed], stream, strict=True)
-    assert all(same(one, other) for one, other in everything)
-    good = json.loads(state)
-    for case, wrong in {
-        "samples": good | {"samples": 6},
-        "stream": good | {"stream": "0"},
-        "empty": {},
-        "none": None,
-    }.items():
+    assert all(same(*pair) for pair in zip([*begun, *resumed], stream, strict=True))
+    others = {"samples": good | {"samples": 6}, "stream": good | {"stream": "0"}}
+    for case, wrong in (others | {"empty": {}, "none": None}).items():
         refuses(case, reader.load_state_dict, wrong)
 
 
@@ -121,10 +112,11 @@ def test_what_cannot_be_ends_in_a_line(source, options):
     refuses(f"{source} {options}", scenegen.stream, json.loads(source), **json.loads(options))
 
 
-def test_worlds_and_grids_that_cannot_be_mixed_end_in_a_line():
-    refuses("twice", scenegen.stream, [FOREST, FOREST])
+def test_worlds_and_grids_that_cannot_be_mixed_end_in_a_line(tmp_path):
+    (world := tmp_path / "world.xml").write_text(SCENE.format(x=4))
+    refuses("twice", scenegen.stream, [world, world])
     refuses("grids", scenegen.stream, ["pillar", small_recipe()])
-    refuses("no validation", scenegen.stream, str(FOREST), split="val")
+    refuses("no validation", scenegen.stream, str(world), split="val")
 
 
 def test_an_index_that_is_none_ends_in_a_line(made):

@@ -128,11 +128,10 @@ def to_triangles(shapes, points):
     return nearest
 
 
-@pytest.mark.parametrize("names", [("half a ring",), ("hill", "ring", "half a ring", "ring")])
-def test_clearance_keeps_the_distances_of_triangles(names, rng):
+def test_clearance_keeps_the_distances_of_triangles(rng):
     """Meshes and height fields at any attitude."""
     spec, shapes = mujoco.MjSpec(), []
-    for name in names:
+    for name in ("hill", "ring", "half a ring", "ring"):
         at = rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), rng.normal(size=4)
         if name == "hill":
             reference.add_hfield(spec, ELEVATION, HILL, *at)
@@ -143,16 +142,13 @@ def test_clearance_keeps_the_distances_of_triangles(names, rng):
         shapes.append((BENT[name].copy().apply_transform(pose), name in FILLED))
     clearance = Clearance(solids_of(spec.compile()), BOUNDS)
     corners = np.concatenate([mesh.vertices for mesh, _ in shapes])
-    near = corners[rng.integers(0, len(corners), 120)] + rng.normal(0.0, 0.4, (120, 3))
-    points = np.clip(near, *BOUNDS)
+    points = np.clip(rng.choice(corners, 120) + rng.normal(0.0, 0.4, (120, 3)), *BOUNDS)
     expected = check_distances(clearance, points, to_triangles(shapes, points))
     assert ((expected > 0.05) & (expected < CAP_M)).sum() > 25
-    if len(names) > 1:
-        surfaces = to_triangles([(mesh, False) for mesh, _ in shapes], points)
-        assert ((expected == 0) & (surfaces > 0.05)).sum() > 8  # well within a filled shape
-        check_motions(
-            clearance, functools.partial(to_triangles, shapes), rng, count=10, longest_m=1.5
-        )
+    surfaces = to_triangles([(mesh, False) for mesh, _ in shapes], points)
+    assert ((expected == 0) & (surfaces > 0.05)).sum() > 8  # well within a filled shape
+    distances = functools.partial(to_triangles, shapes)
+    check_motions(clearance, distances, rng, count=10, longest_m=1.5)
 
 
 def test_a_world_without_solids_is_all_free():
@@ -169,8 +165,6 @@ def test_a_motion_may_be_blocked_at_its_ends_alone():
             ends = (0.01 + gap, 0.0, 2.0), (0.01 + gap + length, 0.0, 2.0)
             assert clearance.motion_is_free(*ends, 0.3) is free
             assert clearance.motion_is_free(*ends[::-1], 0.3) is free
-    for y, free in ((0.0, False), (1.4, True)):
-        assert clearance.motion_is_free((-1.0, y, 2.0), (1.0, y, 2.0), 0.3) is free
 
 
 def test_a_motion_that_grazes_a_post_is_seen():

