@@ -38,9 +38,7 @@ def main():
     for ended in campaign(names, valid, seed=options.seed, jobs=options.jobs, base=base):
         families[ended.name.partition("/")[0]].append(ended.result)
         wrong += bool(ended.wrong)
-        if ended.wrong:
-            print(ended.name, ended.wrong, ended.damage, *ended.words, sep="\n    ", flush=True)
-        if len(names) == 1:
+        if ended.wrong or len(names) == 1:
             pprint.pprint(ended)
     for name, results in families.items():
         passed = sum(result.code == 0 for result in results)
