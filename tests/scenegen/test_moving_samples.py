@@ -151,8 +151,9 @@ def test_measures_count_movers(moving):
 @pytest.mark.parametrize(("scans", "firing"), [(1, False), (3, True)])
 def test_with_firing_times_noise_and_scans_it_passes_too(tmp_path, scans, firing):
     traffic = dataclasses.replace(CROWD, firing_times=firing, drone_mps=(8.0, 12.0))
-    recipe = moving_recipe(traffic, noise={"stages": "range:0.02"}, mapping={"scans": scans})
-    recipe = dataclasses.replace(recipe, lidar=named_lidar("velodyne-vlp-16"))
+    recipe = moving_recipe(noise={"stages": "range:0.02"}, mapping={"scans": scans})
+    lidar, parts = named_lidar("velodyne-vlp-16"), {"movers": traffic}
+    recipe = dataclasses.replace(recipe, lidar=lidar, parts=parts)
     assert failed(dataset_in(tmp_path / "d", recipe).folder) == {}
 
 

@@ -20,6 +20,7 @@ from tests.scenegen import cases
 gymnasium = pytest.importorskip("gymnasium")
 pytestmark = pytest.mark.filterwarnings("ignore")
 NEAR = Rules(apart_m=4.0)
+SMALL = {"rules": NEAR, "lidar": Lidar(rows=4, columns=32)}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -31,7 +32,7 @@ def coarse():
 
 
 def made(**options):
-    return gymnasium.make("scenegen/Fly-v0", **{"rules": NEAR, **options})
+    return gymnasium.make("scenegen/Fly-v0", **SMALL | options)
 
 
 def test_gymnasium_checks_and_flies_it():
@@ -39,7 +40,7 @@ def test_gymnasium_checks_and_flies_it():
 
     named = made(lidar="velodyne-vlp-16", noise="datasheet")
     assert named.observation_space["ranges"].shape == (16, 1808)
-    env = made(world="pillar")
+    env = made(world="pillar", worlds=2)
     check_env(env.unwrapped)
     first, about = env.reset(options={"seed": 3})
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
@@ -49,7 +50,7 @@ def test_gymnasium_checks_and_flies_it():
     rewards, ends = [step[1] for step in steps], [step[2:4] for step in steps]
     assert ends == [(False, False)] * 3
     assert 0.0 < rewards[0] < 0.2
-    plans = scenegen.Flight("cave", periods=3, rules=NEAR)
+    plans = scenegen.Flight("cave", periods=3, **SMALL)
     plans.reset(options={"seed": 3, "world": "pillar"})
     seen, reward, *_ = plans.step(plan)
     assert plan in plans.action_space
@@ -59,7 +60,7 @@ def test_gymnasium_checks_and_flies_it():
 
 SETTINGS = {
     "plain": {},
-    "noise": {"noise": "range:0.02", "moving": True, "lidar": Lidar(rows=4, columns=32)},
+    "noise": {"noise": "range:0.02", "moving": True},
     "rotors": {"vehicle": Vehicle(dynamics="mujoco", speed_mps=4.0, acceleration_mps2=10.0)},
     "sensor": {"lidar": Lidar(rows=4, columns=16, max_range_m=3.0), "difficulty": "easy"},
     "movers": {"movers": "light", "scans": 3},
@@ -88,7 +89,8 @@ def test_observations_lie_in_bounded_spaces(name):
     env = made(**SETTINGS[name])
     assert all(box.is_bounded() for box in env.observation_space.values())
     seen, info = env.reset(seed=1)
-    course = Course(world="pillar", rules=NEAR, flights=1, seed=info["seed"], **SETTINGS[name])
+    settings = SMALL | SETTINGS[name]
+    course = Course(world="pillar", flights=1, seed=info["seed"], **settings)
     robots = course.simulation(0).observe()
     assert np.isinf(robots["ranges"]).any()
     max_range_m = np.float32(course.sensor.max_range_m)
@@ -119,9 +121,8 @@ def test_a_copy_flies_on_as_the_original(name, tmp_path):
 
 def test_kept_worlds_and_many_environments_change_no_bit():
     """Of three environments in one, each sees what it would alone, whose worlds are drawn anew."""
-    many = gymnasium.make_vec(
-        "scenegen/Fly-v0", 3, vectorization_mode="sync", rules=NEAR, worlds=2, difficulty="easy"
-    )
+    options = {"vectorization_mode": "sync", "worlds": 2, "difficulty": "easy"}
+    many = gymnasium.make_vec("scenegen/Fly-v0", 3, **SMALL | options)
     begun, about = many.reset(seed=[5, 6, 7])
     assert set(about["seed"].tolist()) == {0, 1}
     up = np.float32([0.1, 0, 2, 0])
