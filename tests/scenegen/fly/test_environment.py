@@ -40,7 +40,7 @@ def test_gymnasium_checks_and_flies_it():
 
     named = made(lidar="velodyne-vlp-16", noise="datasheet")
     assert named.observation_space["ranges"].shape == (16, 1808)
-    env = made(world="pillar", worlds=2)
+    env = made(world="pillar")
     check_env(env.unwrapped)
     first, about = env.reset(options={"seed": 3})
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
