@@ -40,7 +40,7 @@ def test_gymnasium_checks_and_flies_it():
 
     named = made(lidar="velodyne-vlp-16", noise="datasheet")
     assert named.observation_space["ranges"].shape == (16, 1808)
-    env = made(world="pillar")
+    env = made(world="pillar", lidar="raster")
     check_env(env.unwrapped)
     first, about = env.reset(options={"seed": 3})
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
@@ -50,7 +50,7 @@ def test_gymnasium_checks_and_flies_it():
     rewards, ends = [step[1] for step in steps], [step[2:4] for step in steps]
     assert ends == [(False, False)] * 3
     assert 0.0 < rewards[0] < 0.2
-    plans = scenegen.Flight("cave", periods=3, **SMALL)
+    plans = scenegen.Flight("cave", periods=3, rules=NEAR)
     plans.reset(options={"seed": 3, "world": "pillar"})
     seen, reward, *_ = plans.step(plan)
     assert plan in plans.action_space
