@@ -70,8 +70,8 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, 
     command, pasted = f"generate -n 6 --out {tmp_path}/d --dry-run --recipe", tmp_path / "it.toml"
     said = done(capsys, f"{command} {small}")
     pasted.write_text(said[said.index("# this") :])
-    one, other = (done(capsys, f"{command} {path} --json") for path in (small, pasted))
-    assert one == other
+    first, second = (done(capsys, f"{command} {path} --json") for path in (small, pasted))
+    assert first == second
 
 
 def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
