@@ -237,6 +237,8 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
     end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
     for hull, low, high in zip(hulls, first.clip(0), end.clip(0), strict=True):
         part = tuple(map(slice, low, high))
+        if not verdict[part].size:
+            continue
         gaps = _gaps(hull, centres[part].reshape(-1, 3), voxel / 2)
         verdicts = np.select([gaps <= 0, gaps < FAR], [OCCUPIED, EITHER], FREE)
         verdict[part] = np.maximum(verdict[part], verdicts.reshape(verdict[part].shape))
