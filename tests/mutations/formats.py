@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from tests.mutations import damage_hdf5, damage_options
-from tests.mutations.case import REFUSED, SAME, VALID, Attempt, refuses, words
+from tests.mutations.case import REFUSED, SAME, Attempt, refuses, words
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
 from tests.mutations.mutators import (
@@ -112,19 +112,22 @@ def _mapped():
     return [] if maps and all(states.size for states in maps) else ["a map of nothing"]
 
 
-def _dataset(random, valid, here):
-    """A file of a dataset, damaged; sometimes signed again, so that its digest in the manifest
-    holds."""
-    name = random.choice("ddc")
-    folder = valid.put(name, here)
-    suffix = random.choice((".h5", ".h5", ".h5", ".zip", ".json"))
-    path = random.choice(sorted(folder.glob(f"*{suffix}")))
-    said, _ = in_bytes(path, random)
-    if suffix != ".json" and random.random() < 0.5:
-        sign(folder)
-        said += ", signed again"
-    expected = VALID if suffix == ".h5" else SAME
-    return read_dataset(random, valid, here, name, f"{name}/{path.name}: {said}", expected)
+def _dataset(mutator, endings):
+    """Attempts on a file of a dataset, damaged; mostly signed again, so that its digest in the
+    manifest holds."""
+
+    def attempt(random, valid, here):
+        name = random.choice("ddc")
+        folder = valid.put(name, here)
+        path = random.choice(sorted(folder.glob(f"*{random.choice(endings)}")))
+        said, expected = mutator(path, random)
+        if path.suffix != ".json" and random.random() < 0.6:
+            sign(folder)
+            said += ", signed again"
+        expected = expected if path.suffix == ".h5" else SAME
+        return read_dataset(random, valid, here, name, f"{name}/{path.name}: {said}", expected)
+
+    return attempt
 
 
 def _generated(asked):
@@ -191,8 +194,8 @@ def _files(random, valid, here):
 
 
 FAMILIES = {
-    "bytes": _dataset,
-    "hdf5": damage_hdf5.attempt,
+    "bytes": _dataset(in_bytes, (*[".h5"] * 3, ".zip", ".json")),
+    "hdf5": _dataset(damage_hdf5.in_shard, [".h5"]),
     "recipes": RECIPES.attempt,
     "scenes": SCENES.attempt,
     "weights": WEIGHTS.attempt,

@@ -14,9 +14,8 @@ BLOCK = 1 << 20
 def deflated(size_mb):
     """Raw deflate of so many megabytes of zeros."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    block = packer.compress(bytes(BLOCK)) + packer.flush(
-        zlib.Z_FULL_FLUSH
-    )  # stands on its own: may be repeated
+    # stands on its own: may be repeated
+    block = packer.compress(bytes(BLOCK)) + packer.flush(zlib.Z_FULL_FLUSH)
     return block * size_mb + packer.flush()
 
 
@@ -41,10 +40,8 @@ def unknown_filter(file, name, random):
     flag = random.choice((h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_OPTIONAL, h5py.h5z.FLAG_MANDATORY))
     try:
         made.set_filter(number, flag, tuple(range(4)))
-        kind, space = (
-            h5py.h5t.py_create(values.dtype, logical=True),
-            h5py.h5s.create_simple(values.shape),
-        )
+        kind = h5py.h5t.py_create(values.dtype, logical=True)
+        space = h5py.h5s.create_simple(values.shape)
         del file[name]
         made = h5py.h5d.create(file.id, name.encode(), kind, space, made)
         for row in range(len(values)):
@@ -70,7 +67,7 @@ def chunk_of_our_own(file, name, random):
     """Chunks written past HDF5, with masks and contents of our own."""
     data = file[name]
     raw = data[0].tobytes()
-    packed = zlib.compress(raw)
+    packed, twos = zlib.compress(raw), REFUSED if data.dtype == np.bool_ else VALID
     if data.compression != "gzip":
         return chunk_missing(file, name, random)
     content, mask, said, expected = random.choice(
@@ -84,12 +81,7 @@ def chunk_of_our_own(file, name, random):
             (zlib.compress(raw + b"\0"), 0, "one byte too long", REFUSED),
             (packed[: len(packed) // 2], 0, "cut", REFUSED),
             (packed[:-4] + b"\0\0\0\1", 0, "with another checksum", REFUSED),
-            (
-                zlib.compress(bytes([2]) * len(raw)),
-                0,
-                "of twos",
-                REFUSED if data.dtype == np.bool_ else VALID,
-            ),
+            (zlib.compress(bytes([2]) * len(raw)), 0, "of twos", twos),
             (packed, 0xFFFFFFFF, "with every filter masked", REFUSED),
         )
     )

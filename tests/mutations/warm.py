@@ -63,9 +63,9 @@ def run_case(name, *, valid, seed, base, keep):
         raise RuntimeError(f"{name} with seed {seed} cannot be made") from error
     before, begin = _look(here), time.monotonic()
     ended = {"code": -1}
-    limits = {"seconds": SECONDS, "memory_bytes": MEMORY_BYTES}
+    run = partial(_run, attempt)
     try:
-        leader, ended = guarded(partial(_run, attempt), folder, **limits)
+        leader, ended = guarded(run, folder, seconds=SECONDS, memory_bytes=MEMORY_BYTES)
         ended["left_running"] = _end_group(leader)
     except GuardError as error:
         ended["failure"] = str(error)

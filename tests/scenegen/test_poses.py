@@ -54,17 +54,17 @@ HEADS = {
 def test_nanoseconds_apart_and_words_in_other_columns(tmp_path, header):
     """As Newer College has them, and as `ros2 topic echo --csv` does."""
     rows, _ = table()
-    lines = [header]
+    file, lines = tmp_path / "poses.csv", [header]
     for time_s, *pose in rows.tolist():
-        lines.append(f"{int(time_s)},{500_000_000 * (time_s % 1 > 0) + 7},{HEADS[header]}")
-        lines[-1] += ",".join(map(repr, pose))
-    (tmp_path / "poses.csv").write_text("\n".join(lines))
-    track = read_poses(tmp_path / "poses.csv")
-    assert track.times_s == pytest.approx(rows[:, 0] + 7e-9, abs=1e-6, rel=0)
+        nanoseconds = 500_000_000 * (time_s % 1 > 0) + 7  # whose zeros are not written
+        numbers = ",".join(map(repr, pose))
+        lines.append(f"{int(time_s)},{nanoseconds},{HEADS[header]}{numbers}")
+    file.write_text("\n".join(lines))
+    track = read_poses(file)
+    assert track.times_s == pytest.approx(rows[:, 0], abs=1e-6, rel=0)
     assert np.allclose([pose.position for pose in track.poses], rows[:, 1:4])
-    lines[3] = lines[3].replace(repr(rows[2, 1].item()), "none")
-    (tmp_path / "poses.csv").write_text("\n".join(lines))
-    refuses(header, read_poses, tmp_path / "poses.csv")
+    file.write_text("\n".join(lines).replace(repr(rows[2, 1].item()), "none"))
+    refuses(header, read_poses, file)
 
 
 def test_matrices_are_told_from_columns(tmp_path):

@@ -5,7 +5,6 @@ import itertools
 import json
 import random
 import tomllib
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -68,27 +67,24 @@ def random_tables(chance, recipe):
 def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_readers_take(tmp_path):
     chance = random.Random(0)
     presets = {kind: preset(kind) for kind in kind_names()}
-    outcome = Counter()
-    lines = set()
+    made, lines = 0, []
     for _ in range(1000):
         kind = chance.choice(list(presets))
         try:
             recipe = make_recipe(kind, random_tables(chance, presets[kind]), where="test")
         except RecipeError as error:
-            lines.add(str(error))
-            outcome["refused"] += 1
+            lines.append(str(error))
             continue
         manifest = manifest_of(recipe)
         checked = parse(manifest)
-        assert checked.grid == recipe.grid
-        assert checked.lidar == recipe.lidar
+        assert (checked.grid, checked.lidar) == (recipe.grid, recipe.lidar)
         assert recipe.world.max_solids() <= MAX_DRAWN_SOLIDS
-        if outcome["made"] % 20 == 0:
+        if made % 20 == 0:
             (tmp_path / NAME).write_bytes(manifest)
             assert read_contract(tmp_path, Ledger()).recipe == recipe
-        outcome["made"] += 1
-    assert outcome["refused"] > 300
-    assert outcome["made"] > 200
+        made += 1
+    assert len(lines) > 300
+    assert made > 200
     assert [line for line in lines if not line.isprintable() or len(line) > 400] == []
     assert [line for line in lines if "Input should" in line or "required" in line] == []
 

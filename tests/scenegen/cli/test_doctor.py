@@ -21,15 +21,16 @@ def short(monkeypatch):
 
 
 def spoil(monkeypatch, change):
-    """Have the doctor draw units whose last sample is changed by `change`, which is told the number
-    of the draw; the numbers of the units are noted."""
+    """Have the doctor draw units of whose last sample fields are changed by `change`, which is told
+    the number of the draw; the numbers of the units are noted."""
     asked = []
 
     def spoilt(*arguments, **named):
-        asked.append(named["unit"])
         unit = draw_unit(*arguments, **named)
         *others, last = unit.samples
-        return dataclasses.replace(unit, samples=(*others, change(len(asked) - 1, last)))
+        last = dataclasses.replace(last, **change(len(asked), last))
+        asked.append(named["unit"])
+        return dataclasses.replace(unit, samples=(*others, last))
 
     monkeypatch.setattr("scenegen.draw.draw.draw_unit", spoilt)
     return asked
@@ -39,21 +40,19 @@ def without_one_solid_voxel(number, sample):
     """As if the truth missed a voxel in which something returned."""
     occupancy = sample.occupancy.copy()
     occupancy[tuple(np.argwhere(sample.observed)[-1])] = False
-    return dataclasses.replace(sample, occupancy=occupancy)
+    return {"occupancy": occupancy}
 
 
 def with_a_range_that_changes(number, sample):
     """As if rays depended on what was cast before."""
-    ranges = sample.ranges.copy()
-    ranges[np.isfinite(ranges)] += np.float32(1e-3 * number)
-    return dataclasses.replace(sample, ranges=ranges)
+    return {"ranges": sample.ranges + np.float32(1e-3 * number)}
 
 
 BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_range_that_changes}
 
 
 def test_a_fit_machine_is_found_fit(monkeypatch):
-    units = spoil(monkeypatch, lambda number, sample: sample)
+    units = spoil(monkeypatch, lambda number, sample: {})
     report = doctor.examine()
     test = report["self_test"]
     assert report["ok"] is test["repeatable"] is test["returns_occupied"] is True

@@ -1,7 +1,6 @@
 """`scenegen generate` as users meet it, with what `inspect` and `world` make of its datasets."""
 
 import json
-import time
 from pathlib import Path
 
 import msgspec
@@ -21,10 +20,7 @@ def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     summary, digest = done(capsys, command), Dataset(out).manifest.digest
     assert digest in summary
     assert f"scenegen inspect {out}" in summary
-    begun = time.perf_counter()
-    again = json.loads(done(capsys, f"{command} --json"))
-    assert again["complete"]
-    assert again["seconds"] < time.perf_counter() - begun
+    assert json.loads(done(capsys, f"{command} --json"))["complete"]
     done(capsys, f"{command} --quiet")
     report = json.loads(done(capsys, f"inspect {out} --json"))
     assert [split["samples"] for split in report["splits"].values()] == [12, 1, 2]
@@ -74,8 +70,8 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, 
     command, pasted = f"generate -n 6 --out {tmp_path}/d --dry-run --recipe", tmp_path / "it.toml"
     said = done(capsys, f"{command} {small}")
     pasted.write_text(said[said.index("# this") :])
-    one, other = (done(capsys, f"{command} {path} --json") for path in (small, pasted))
-    assert one == other
+    first, second = (done(capsys, f"{command} {path} --json") for path in (small, pasted))
+    assert first == second
 
 
 def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):

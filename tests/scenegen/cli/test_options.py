@@ -9,7 +9,7 @@ import rich_click as click
 from click.testing import CliRunner
 
 from lidarsim.parameters import check, number
-from scenegen.cli.options import fields_in, options_of, out_option
+from scenegen.cli.options import fields_in, options_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,13 +54,3 @@ def test_bounds_and_choices_are_the_fields(word):
     code, said = run(word)
     assert code == 2
     assert word.partition("=")[0] in said
-
-
-@pytest.mark.parametrize("word", ["-o", "--out", "--output"])
-def test_where_the_result_goes_has_three_names(word):
-    @click.command()
-    @out_option("Somewhere.")
-    def place(out):
-        click.echo(out)
-
-    assert CliRunner().invoke(place, [word, "here"]).output == "here\n"

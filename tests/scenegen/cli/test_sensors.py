@@ -1,12 +1,12 @@
 """`scenegen sensors`, `scenegen scan` and `generate --lidar`: what they tell, write and refuse."""
 
 import json
-import math
 
 import matplotlib.image
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import scenegen
 from lidarsim import BeamTable
@@ -58,9 +58,9 @@ def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys, monkeypat
 
 
 def test_a_pattern_has_a_dot_where_a_ray_points():
-    up, left = math.radians(20), math.radians(-35)
-    ray = [math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up), 0.1]
-    figure = draw_patterns({"mine": BeamTable(rays=np.array([[1.0, 0, 0, 0.0], ray]))})
+    turned = Rotation.from_euler("ZY", [-35, -20], degrees=True)
+    rays = np.array([[1.0, 0, 0, 0.0], [*turned.apply([1.0, 0, 0]), 0.1]])
+    figure = draw_patterns({"mine": BeamTable(rays=rays)})
     (panel,) = figure.axes
     (dots,) = panel.collections
     assert_allclose(dots.get_offsets(), [[0, 0], [-35, 20]], atol=1e-9)
@@ -75,15 +75,13 @@ def test_the_docs_have_the_pattern_of_every_sensor():
 
 def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1 --recipe"
-    done(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")
-    made = Dataset(here / "d").manifest.tables.lidar
-    assert made["made_by"] == "robosense-helios-16p"
-    assert made["shape"] == [16, 1800]
-    lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
-    (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
-    done(capsys, f"{command} in.toml --out e")
-    made = Dataset(here / "e").manifest.tables.lidar
-    assert made["made_by"] == "robosense-helios-16p(max_range_m=20.0)"
+    name = "robosense-helios-16p"
+    (here / "in.toml").write_text(f'{BARE}[lidar]\nsensor = "{name}"\nmax_range_m = 20')
+    cases = {f"bare.toml --lidar {name}": name, "in.toml": f"{name}(max_range_m=20.0)"}
+    for words, made_by in cases.items():
+        done(capsys, f"{command} {words} --out {len(words)}")
+        lidar = Dataset(here / f"{len(words)}").manifest.tables.lidar
+        assert (lidar["made_by"], lidar["shape"]) == (made_by, [16, 1800])
 
 
 def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, capsys):

@@ -1,5 +1,7 @@
 """Nothing that comes from a file prints a line, or a colour, of its own."""
 
+import itertools
+
 import pytest
 
 from scenegen.cli.show import echo, show_columns, show_table
@@ -25,11 +27,12 @@ def test_lines_are_kept_and_what_is_within_them_is_not(capsys):
 @pytest.mark.parametrize("wide", [10, 80])
 def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(wide))
-    heads = [f"metric_{n}" for n in range(12)]
-    show_columns({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
+    heads, values = ([text.format(n) for n in range(12)] for text in ("metric_{}", "{}.5"))
+    show_columns({"one": values, "another": ["–"] * 12}, heads, "a title")
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= max(wide, len("another  metric_11"))
     assert " ".join(lines).count("–") == 12
-    for n, head in enumerate(heads):
-        at = next(number for number, line in enumerate(lines) if head in line.split())
-        assert lines[at + 1].split()[1 + lines[at].split().index(head)] == f"{n}.5"
+    below = {}
+    for upper, lower in itertools.pairwise(map(str.split, lines)):
+        below |= zip(upper, lower[1:], strict=False)
+    assert [below[head] for head in heads] == values

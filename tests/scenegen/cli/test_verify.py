@@ -22,10 +22,8 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, c
     assert run(capsys, f"verify {folder} --quick --quiet") == (1, "", line)
     code, text, _ = run(capsys, f"verify {folder} --json --quick")
     report = json.loads(text)
-    assert code == 1
-    assert not report["ok"]
-    assert report["quick"]
-    assert report["failed"] == failing
+    facts = report["ok"], report["quick"], report["failed"]
+    assert (code, *facts) == (1, False, True, failing)
     skipped = [check["name"] for check in report["checks"] if check["skipped"]]
     assert skipped == ["names", "centred", "laws", "duplicates", "flights", "accepted"]
     refuses_command(capsys, f"verify {tmp_path}/absent")

@@ -1,29 +1,22 @@
 """An occupancy oracle that shares neither code nor method with ``scenegen.truth``.
 
-Every verdict on a voxel rests on a certificate, never on how the search that found it behaves:
+A voxel's verdict rests on a distance of its cube. From a primitive, it is MuJoCo's (GJK and EPA, to
+1e-9 m); from a cylinder, that of its axis from the part of the cube between its ends. From a convex
+hull, it is the widest slab between the two along the axes of the separating axis theorem: at most
+the distance, and above 0 where they do not meet. Non-convex things are unions: a triangle mesh is
+its triangles, plus the voxel centres whose winding number (solid angles after Van Oosterom and
+Strackee 1983) is not zero; a height field is one prism per triangle of MuJoCo's own triangulation.
 
-* *occupied* - two points, one a convex combination of points of the solid and one of corners of the
-  cube, lie
-  at most ``NEAR`` apart (or a corner of the cube is inside the solid by its defining inequality);
-* *free* - a plane keeps the cube and the solid at least ``FAR`` apart (support functions of both);
-* *either* - both certificates place the distance inside (``NEAR``, ``FAR``), the band around the
-  1e-6 m of
-  the contract in which rounding may decide.
-
-The search is GJK (Gilbert, Johnson, Keerthi 1988) on support functions, in the solid's own frame;
-spheres and capsules are a point and a segment with a margin. A voxel for which it finds neither
-certificate is UNDECIDED, and the tests insist that there is none. Non-convex things are unions: a
-triangle mesh is its triangles, plus the voxel centres whose winding number (solid angles after Van
-Oosterom and Strackee 1983) is not zero; a height field is one prism per triangle of MuJoCo's own
-triangulation.
+A cube is *occupied* up to ``NEAR``, *free* from ``FAR`` on, and *either* in between, the band
+around the 1e-6 m of the contract in which rounding may decide.
 """
 
+import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import mujoco
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -31,14 +24,12 @@ from scipy.spatial.transform import Rotation
 NEAR = 0.5e-6
 FAR = 3e-6
 
-FREE, EITHER, UNDECIDED, OCCUPIED = range(4)
+FREE, EITHER, OCCUPIED = range(3)
 """Of a union's parts, the greatest verdict is the union's."""
 
-SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, PLANE, HULL = range(7)
 KINDS = "sphere", "capsule", "ellipsoid", "cylinder", "box", "plane"
 
 Floats = NDArray[np.float64]
-jit = numba.njit(cache=True)
 
 
 def unit(rng):
@@ -98,58 +89,8 @@ def add_hfield(spec, elevation, size, pos, quat):
 
 
 # ------------------------------------------------------------------------------------------
-# Support functions, membership and distance bounds of the convex solids
+# Primitives
 # ------------------------------------------------------------------------------------------
-
-
-@jit
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@jit
-def _cross(a, b):
-    x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-    return x, y, a[0] * b[1] - a[1] * b[0]
-
-
-@jit
-def _along(a, step, b):
-    """a + step * b"""
-    return a[0] + step * b[0], a[1] + step * b[1], a[2] + step * b[2]
-
-
-@jit
-def _support(kind, given, d):
-    """A point of the solid (of its core, where it has a margin) farthest along d, in its frame.
-
-    What is `given` (n, 3) are a hull's points, or in one row the size of a primitive.
-    """
-    a, b, c = given[0]
-    if kind == HULL:
-        for x, y, z in given:
-            if x * d[0] + y * d[1] + z * d[2] > a * d[0] + b * d[1] + c * d[2]:
-                a, b, c = x, y, z
-        return a, b, c
-    if kind == SPHERE:
-        return 0.0, 0.0, 0.0
-    if kind == CAPSULE:
-        return 0.0, 0.0, math.copysign(b, d[2])
-    if kind == CYLINDER:
-        x, y = _rim(a, d)
-        return x, y, math.copysign(b, d[2])
-    if kind == BOX:
-        return math.copysign(a, d[0]), math.copysign(b, d[1]), math.copysign(c, d[2])
-    x, y, z = a * d[0], b * d[1], c * d[2]
-    norm = math.sqrt(x * x + y * y + z * z)
-    return a * x / norm, b * y / norm, c * z / norm
-
-
-@jit
-def _rim(radius, d):
-    """The point of a circle farthest along d."""
-    norm = max(math.hypot(d[0], d[1]), 1e-300)
-    return radius * d[0] / norm, radius * d[1] / norm
 
 
 def at_least(shape, points):
@@ -183,144 +124,69 @@ def points_inside(shape, points):
     return at_least(shape, points) <= 0
 
 
-# ------------------------------------------------------------------------------------------
-# GJK: the search for certificates
-# ------------------------------------------------------------------------------------------
+def support_point(shape, direction):
+    """The point of a primitive (no half-space) farthest along a unit direction."""
+    d, size = direction @ shape.rot, np.array(shape.size)
+    end = np.copysign(size, d)
+    match shape.kind:
+        case "sphere":
+            end = size[0] * d
+        case "capsule":
+            end = size[0] * d + [0, 0, math.copysign(size[1], d[2])]
+        case "cylinder":
+            rim = size[0] * d[:2] / max(math.hypot(*d[:2]), 1e-300)
+            end = np.array([*rim, math.copysign(size[1], d[2])])
+        case "ellipsoid":
+            end = size**2 * d / np.linalg.norm(size * d)
+    return shape.pos + shape.rot @ end
 
 
-@jit
-def _mixed(w, lam):
-    """The combination of the points w (4, 3) with the weights ``lam``."""
-    point = 0.0, 0.0, 0.0
-    for i in range(4):
-        point = _along(point, lam[i], w[i])
-    return point
+def _verdicts(shape, centres, half):
+    """The verdicts on the cubes around centres (n, 3)."""
+    if shape.kind == "cylinder":  # of which MuJoCo misses cubes that touch the side
+        # one longer and wider by a slack reaches at most √2 of it beyond
+        (radius, length, _), slacks = shape.size, (NEAR, FAR / 1.5)
+        near, far = (_beside(shape, centres, half, length + slack) - slack for slack in slacks)
+        return np.select([near <= radius, far < radius], [OCCUPIED, EITHER], FREE)
+    margin_m, core = 0.0, shape
+    if shape.kind == "capsule":  # MuJoCo's function for capsules and boxes is not exact
+        margin_m, length, _ = shape.size
+        core = replace(shape, kind="box", size=(1e-9, 1e-9, length))
+    model = world_of(core, Shape("box", (half, half, half)))
+    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-9, 500
+    data, distances = mujoco.MjData(model), np.empty(len(centres))
+    mujoco.mj_kinematics(model, data)
+    for n, centre in enumerate(centres):
+        data.geom_xpos[1] = centre
+        distances[n] = mujoco.mj_geomDistance(model, data, 0, 1, margin_m + 2 * FAR, None)
+    distances -= margin_m
+    return np.select([distances <= NEAR, distances < FAR], [OCCUPIED, EITHER], FREE)
 
 
-@jit
-def _offer(w, lam, best_lam, best):
-    """Keep the weights ``lam``, made to add up to 1, if none is negative and they name a point
-    nearer to the origin than the best."""
-    total = lam[0] + lam[1] + lam[2] + lam[3]
-    if total != 0.0:
-        least = 0.0
-        for i in range(4):  # numba takes seconds to compile what assigns to slices
-            lam[i] /= total
-            least = min(least, lam[i])
-        point = _mixed(w, lam)
-        if least >= 0.0 and _dot(point, point) < best:
-            best = _dot(point, point)
-            for i in range(4):
-                best_lam[i] = lam[i]
-    for i in range(4):
-        lam[i] = 0.0
-    return best
+CORNERS = np.array(list(itertools.product((-1, 1), repeat=3)))
+EDGES = np.argwhere(np.triu(abs(CORNERS[:, None] - CORNERS).sum(axis=2) == 2))
 
 
-@jit
-def _nearest_on_simplex(w, n, lam, best_lam):
-    """Squared distance from the origin to the hull of the first n points, its weights left in
-    ``best_lam``.
-
-    Tries every corner, edge, face and the inside in turn, and believes none of them: what counts is
-    the length of the combination that the weights name.
-    """
-    best = np.inf
-    for i in range(n):
-        lam[i] = 1.0
-        best = _offer(w, lam, best_lam, best)
-        for j in range(i + 1, n):
-            edge = _along(w[j], -1.0, w[i])
-            lam[i], lam[j] = _dot(w[j], edge), -_dot(w[i], edge)
-            best = _offer(w, lam, best_lam, best)
-            for k in range(j + 1, n):
-                normal = _cross(edge, _along(w[k], -1.0, w[i]))
-                lam[i] = _dot(normal, _cross(w[j], w[k]))
-                lam[j] = _dot(normal, _cross(w[k], w[i]))
-                lam[k] = _dot(normal, _cross(w[i], w[j]))
-                best = _offer(w, lam, best_lam, best)
-    if n == 4:
-        one, other = _cross(w[2], w[3]), _cross(w[0], w[1])
-        lam[0], lam[1] = _dot(w[1], one), -_dot(w[0], one)
-        lam[2], lam[3] = _dot(w[3], other), -_dot(w[2], other)
-        best = _offer(w, lam, best_lam, best)
-    return best
-
-
-@jit
-def _bracket(kind, given, margin, axes, centre, half):
-    """Certified bounds (low, high) of the distance of solid and cube, as tight as a verdict needs;
-    the rows of `axes` are the cube's, in the solid's frame.
-
-    ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of
-    the two; ``low`` is the width of the slab that separates them. The search ends when they decide
-    the verdict.
-    """
-    w, lam, best_lam = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
-    low, high, n = -np.inf, np.inf, 0
-    v = 1.0, 0.0, 0.0
-    for _ in range(400):
-        square = _dot(v, v)
-        if square == 0.0:
-            return low, high
-        corner = centre[0], centre[1], centre[2]
-        for axis in axes:
-            corner = _along(corner, math.copysign(half, _dot(v, axis)), axis)
-        d = -v[0], -v[1], -v[2]
-        s = _along(_support(kind, given, d), -1.0, corner)
-        low = max(low, _dot(v, s) / math.sqrt(square) - margin)
-        if low >= FAR or (low >= NEAR and high <= FAR):
-            return low, high
-        if kind == CYLINDER:
-            # All along the side that faces the cube points are nearly as far; one at an end, metres
-            # away, would bring the search forward by less than rounding.
-            x, y = _rim(given[0, 0], d)
-            z = min(max(centre[2], -given[0, 1]), given[0, 1])
-            beside = _along((x, y, z), -1.0, corner)
-            if square - _dot(v, beside) > 0.5 * (square - _dot(v, s)):
-                s = beside
-        w[n, 0], w[n, 1], w[n, 2] = s
-        high = min(high, math.sqrt(_nearest_on_simplex(w, n + 1, lam, best_lam)) - margin)
-        if high <= NEAR:
-            return low, high
-        n = 0
-        for i in range(4):
-            weight, best_lam[i] = best_lam[i], 0.0
-            if weight > 0.0:
-                w[n, 0], w[n, 1], w[n, 2] = w[i]
-                best_lam[n] = weight
-                n += 1
-        if n == 4:
-            return low, high
-        v = _mixed(w, best_lam)
-    return low, high
-
-
-@jit
-def _verdict(low, high):
-    if high <= NEAR:
-        return OCCUPIED
-    if low >= FAR:
-        return FREE
-    if low >= NEAR and high <= FAR:
-        return EITHER
-    return UNDECIDED
-
-
-@jit
-def _verdicts(kind, given, margin, axes, centres, half):
-    """The verdict on the cube around each of the centres (n, 3), against one solid."""
-    found = np.empty(len(centres), np.uint8)
-    for n in range(len(centres)):
-        found[n] = _verdict(*_bracket(kind, given, margin, axes, centres[n], half))
-    return found
-
-
-def _core(shape):
-    """What the search takes of a primitive."""
-    kind = KINDS.index(shape.kind)
-    margin = shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0
-    return kind, np.array([shape.size], float), margin
+def _beside(shape, centres, half, length):
+    """Metres from an axis to the parts of cubes between its ends at ± length: to the hull of where
+    the cubes' edges begin and end between them."""
+    corners = (centres[:, None] + half * CORNERS - shape.pos) @ shape.rot
+    begin, end = corners[:, EDGES].transpose(2, 0, 1, 3)
+    rise = end[..., 2] - begin[..., 2] + 1e-300
+    shares = np.sort([(z - begin[..., 2]) / rise for z in (-length, length)], axis=0).clip(0, 1)
+    points = np.concatenate(begin + shares[..., None] * (end - begin), axis=1)
+    points[abs(points[..., 2]) > length + 1e-12] = np.nan
+    one, other = np.triu_indices(points.shape[1])
+    first, step = points[:, one, :2], points[:, other, :2] - points[:, one, :2]
+    share = -(first * step).sum(axis=2) / ((step**2).sum(axis=2) + 1e-300)
+    apart = np.linalg.norm(first + share.clip(0, 1)[..., None] * step, axis=2)
+    least = np.where(np.isnan(apart), np.inf, apart).min(axis=1)
+    # where the axis enters and leaves the cubes
+    ways = (centres[:, None] + half * np.array([[-1], [1]]) - shape.pos) / (
+        shape.rot[:, 2] + 1e-300
+    )
+    enters, leaves = ways.min(axis=1).max(axis=1), ways.max(axis=1).min(axis=1)
+    return np.where(np.maximum(enters, -length) <= np.minimum(leaves, length), 0.0, least)
 
 
 def judge(shape, grid_shape, voxel, origin):
@@ -328,30 +194,17 @@ def judge(shape, grid_shape, voxel, origin):
     surface.
 
     A voxel is off the boundary when all its corners are inside (the solid is convex), or its centre
-    is farther away than a corner of it is; only boundary voxels need the search.
+    is farther away than a corner of it is; only boundary voxels need a distance.
     """
     half = voxel / 2
     corners = origin + np.moveaxis(np.indices(np.add(grid_shape, 1)), 0, -1) * voxel
     inside = points_inside(shape, corners)
     deep = np.lib.stride_tricks.sliding_window_view(inside, (2, 2, 2)).all(axis=(3, 4, 5))
     centres = voxel_centres(grid_shape, voxel, origin)
-    away = at_least(shape, centres)
-    boundary = ~deep & (away <= math.sqrt(3.0) * half + FAR)
-    verdict = np.where(deep, OCCUPIED, FREE).astype(np.uint8)
-    if shape.kind == "plane":
-        lows = away[boundary] - half * np.abs(shape.rot[:, 2]).sum()
-        verdict[boundary] = [_verdict(low, max(low, 0.0)) for low in lows]
-    else:
-        local = (centres[boundary] - shape.pos) @ shape.rot
-        verdict[boundary] = _verdicts(*_core(shape), shape.rot, local, half)
+    boundary = ~deep & (at_least(shape, centres) <= math.sqrt(3.0) * half + FAR)
+    verdict = np.where(deep, OCCUPIED, FREE)
+    verdict[boundary] = _verdicts(shape, centres[boundary], half)
     return verdict, boundary
-
-
-def support_point(shape, direction):
-    """The point of a primitive (margin included; no half-space) farthest along a unit direction."""
-    kind, given, margin = _core(shape)
-    core = _support(kind, given, tuple(direction @ shape.rot))
-    return shape.pos + shape.rot @ core + margin * direction
 
 
 def voxel_centres(grid_shape, voxel, origin):
@@ -364,19 +217,30 @@ def voxel_centres(grid_shape, voxel, origin):
 # ------------------------------------------------------------------------------------------
 
 
+def _gaps(hull, centres, half):
+    """Widths of the widest slabs between the hull of points and the cubes around centres."""
+    edges = (hull[:, None] - hull)[np.triu_indices(len(hull), 1)]
+    crosses = np.cross(edges[:, None], np.concatenate([edges, np.eye(3)])).reshape(-1, 3)
+    axes = np.concatenate([np.eye(3), crosses[crosses.any(axis=1)]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    ends, middles = hull @ axes.T, centres @ axes.T
+    apart = np.maximum(ends.min(axis=0) - middles, middles - ends.max(axis=0))
+    return (apart - half * np.abs(axes).sum(axis=1)).max(axis=1)
+
+
 def judge_hulls(hulls, grid_shape, voxel, origin):
     """The verdict on a union of convex hulls of equally many points, (n, points, 3) in the
     world."""
-    verdict, hulls = np.full(grid_shape, FREE, np.uint8), np.ascontiguousarray(hulls)
-    centres = voxel_centres(grid_shape, voxel, origin)
+    verdict, centres = np.full(grid_shape, FREE), voxel_centres(grid_shape, voxel, origin)
     # the voxels that its bounding box meets, and one more all around
     first = np.floor((hulls.min(axis=1) - origin) / voxel).astype(int) - 1
     end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
     for hull, low, high in zip(hulls, first.clip(0), end.clip(0), strict=True):
         part = tuple(map(slice, low, high))
-        # in one order, or it is compiled thrice
-        inner = np.ascontiguousarray(centres[part]).reshape(-1, 3)
-        verdicts = _verdicts(HULL, hull, 0.0, np.eye(3), inner, voxel / 2)
+        if not verdict[part].size:
+            continue
+        gaps = _gaps(hull, centres[part].reshape(-1, 3), voxel / 2)
+        verdicts = np.select([gaps <= 0, gaps < FAR], [OCCUPIED, EITHER], FREE)
         verdict[part] = np.maximum(verdict[part], verdicts.reshape(verdict[part].shape))
     return verdict
 
@@ -385,14 +249,13 @@ def winding_number(triangles, points):
     """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid
     angles."""
     total = np.zeros(len(points))
-    for first in range(0, len(points), 200):
-        corners = triangles[:, :, None] - points[first : first + 200]
-        a, b, c = (corners[:, n].transpose(2, 0, 1) for n in range(3))
-        la, lb, lc = (np.sqrt(_dot.py_func(v, v)) for v in (a, b, c))
-        volume = _dot.py_func(a, _cross.py_func(b, c))
-        ab, bc, ca = _dot.py_func(a, b), _dot.py_func(b, c), _dot.py_func(c, a)
-        angles = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
-        total[first : first + 200] = angles.sum(axis=0)
+    for corners in triangles:
+        a, b, c = corners[:, None] - points
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        ab, bc, ca, volume = (
+            np.einsum("ni,ni->n", *pair) for pair in ((a, b), (b, c), (c, a), (a, np.cross(b, c)))
+        )
+        total += 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
     return total / (4 * np.pi)
 
 

@@ -57,9 +57,8 @@ def test_ways_are_those_walked_voxel_by_voxel(density):
 
 
 def test_an_empty_map_is_straight_and_open():
-    found = measured(empty())
-    assert found.clearance_m == 2.0
-    assert found.tortuosity == pytest.approx(1.0)
+    figures = measured(empty())
+    assert (figures.clearance_m, figures.tortuosity) == (2.0, pytest.approx(1.0))
 
 
 @pytest.mark.parametrize("wall", [8, 9])
