@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial.distance import cdist
 
 from lidarsim import GridSpec
@@ -67,11 +68,9 @@ def judged(occupied, truth, scored):
 
 
 def surface_points(mask, scored):
-    """Voxel by voxel: those with a free neighbour that counts, metres."""
-    free, ways = np.pad(scored & ~mask, 1), np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
-    voxels = np.argwhere(mask & scored)
-    beside = np.any([free[tuple((voxels + 1 + way).T)] for way in ways], axis=0)
-    return GRID.voxel_m * voxels[beside]
+    """Voxels with a free neighbour that counts, metres."""
+    beside = ndimage.binary_dilation(scored & ~mask)
+    return GRID.voxel_m * np.argwhere(mask & scored & beside)
 
 
 def test_chamfer_is_the_mean_way_between_surfaces(rng):

@@ -23,7 +23,7 @@ from tests.model.test_targets import config_of
 from tests.model.training.runs import train
 from tests.refusals import refuses, refuses_command
 
-COUNTS = {"train": 8, "val": 4, "test": 6}
+COUNTS = {"train": 5, "val": 2, "test": 6}
 GRID = GridSpec(shape=(8, 1, 1), voxel_m=0.5)
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -359,8 +359,8 @@ def test_stopped_runs_keep_an_entry(standing, monkeypatch):
 @pytest.mark.parametrize(("given", "wrong"), [("--hidden 77", "--hidden 78"), ("--maps .", "")])
 def test_secret_courses_are_flown_again_by_owners(capsys, standing, monkeypatch, given, wrong):
     """An entry holds no seed and no folder; without its number, or its maps, it is refused."""
-    states = np.full((60, 60, 15), FREE, np.uint8)
-    states[30, :40] = OCCUPIED
+    states = np.full((60, 40, 15), FREE, np.uint8)
+    states[30, :26] = OCCUPIED
     hall = Course(world=str(hall_in(standing, states))).sha256[:16]
     settings = {"PLACE_COURSES": 1, "HIDDEN": 2, "FLIGHTS": 1, "KINDS": ("pillar", "rooms")}
     for name, value in {**settings, "frozen": lambda: {"places": {"hall.npz": hall}}}.items():

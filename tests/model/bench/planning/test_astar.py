@@ -42,8 +42,6 @@ def reference_lengths(occupied, grid, step, edge_check, cost):
 
 def weighed(cost, voxel, there):
     """The mean cost of the voxels stepped on from one node to the next, the first left out."""
-    if cost is None:
-        return 0.0
     steps = np.abs(np.subtract(there, voxel)).max()
     line = np.linspace(voxel, there, steps + 1)[1:]
     return float(cost[tuple(np.rint(line).astype(int).T)].mean())
@@ -67,13 +65,13 @@ def test_paths_are_as_short_as_dijkstras(step, density, weight, edge_check):
     lattice = Lattice(grid, step)
     occupied = rng.random(grid.shape) < density
     occupied[tuple(lattice.voxels(lattice.start))] = False
-    risk = rng.random(grid.shape).astype(np.float32) ** 2 if weight else None
-    cost = None if risk is None else weight * risk
+    risk = rng.random(grid.shape).astype(np.float32) ** 2
+    cost = weight * risk
     lengths = reference_lengths(occupied, grid, step, edge_check, cost)
     reached = 0
     for node in rng.permutation(np.indices(lattice.shape).reshape(3, -1).T)[:150]:
         voxel, goal = tuple(lattice.voxels(node).tolist()), lattice.centres(node)
-        path, reason = plan_path(occupied, goal, grid, config, risk)
+        path, reason = plan_path(occupied, goal, grid, config, risk if weight else None)
         if path is None:
             assert reason == ("goal_blocked" if occupied[voxel] else "no_path")
             assert lengths.get(voxel, np.inf) == np.inf
