@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import time
-from functools import partial
 
 import pytest
 import torch
@@ -18,7 +17,15 @@ from scenegen.model.training.data import opened
 from scenegen.model.training.loop import Muon, Watcher
 from tests.conftest import contents
 from tests.model.conftest import make_dataset
-from tests.model.training.runs import SMALL, check_same, elsewhere, figures, maps_of, small, train
+from tests.model.training.runs import (
+    SMALL,
+    check_same,
+    elsewhere,
+    figures,
+    maps_of,
+    small,
+    train,
+)
 from tests.refusals import refuses
 
 
@@ -79,10 +86,12 @@ def test_stopped_runs_end_as_uninterrupted_ones(folders, tmp_path, uninterrupted
     """Bit for bit on one thread, stopped three times: in the middle of an epoch, at its last step
     and at its first."""
     losses = []
-    for step in (4, 6, 7):
-        stop = partial(lambda step: len(losses) >= step, step)
-        watcher = Watcher(on_step=lambda maps, loss: losses.append(loss), stop=stop)
-        refuses(step, train, folders, SMALL, tmp_path / "run", watcher=watcher)
+    for stop in (4, 6, 7):
+        watcher = Watcher(
+            on_step=lambda maps, loss: losses.append(loss),
+            stop=lambda stop=stop: len(losses) >= stop,
+        )
+        refuses(stop, train, folders, SMALL, tmp_path / "run", watcher=watcher)
     train(folders, SMALL, tmp_path / "run")
     check_same(tmp_path / "run", uninterrupted)
 
