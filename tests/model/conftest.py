@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from scenegen import Completer
 from scenegen.model.checkpoint import save_network
-from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.conftest import dataset_in, small_recipe

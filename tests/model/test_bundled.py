@@ -8,8 +8,8 @@ import pytest
 
 import scenegen
 from lidarsim.grid import iou
+from scenegen import Completer
 from scenegen.model.bench.visibility import UNOBSERVED, classify
-from scenegen.model.completion.completer import Completer
 from scenegen.model.config import Thresholds, bundled
 from tests.scenegen import cases
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -27,30 +28,27 @@ def write(path, attributes, **arrays):
     """An HDF5 file."""
     with h5py.File(path, "w") as file:
         file.attrs.update(attributes)
-        for name, values in arrays.items():
-            file[name] = values
+        file.update(arrays)
 
 
 @pytest.fixture
-def here(tmp_path):
+def here(standing):
     """A scan, predictions of a split, a completion of a scan, a run, and what is none of these."""
-    write_points(tmp_path / "scan.pcd", POINTS, None, {})
-    maps = np.zeros((3, 4, 4, 2), np.float32)
+    write_points(standing / "scan.pcd", POINTS, None, {})
+    maps, chance = np.zeros((3, 4, 4, 2), np.float32), np.random.default_rng(1).random((16, 16, 8))
     about = {"method": "mine\x1b[2J", "split": "test", "dataset": "ab12"}
-    write(tmp_path / "split.h5", about, tudf=maps)
-    write(tmp_path / "shard.h5", {}, tudf=maps, occupancy=maps)
-    chance = np.random.default_rng(1).random((16, 16, 8)).astype(np.float32)
+    write("split.h5", about, tudf=maps)
+    write("shard.h5", {}, tudf=maps, occupancy=maps)
     about = {"method": "mine", "origin": np.zeros(3), "voxel": 0.5}
-    write(tmp_path / "done.h5", about, observed=chance > 0.9, occupancy_probability=chance)
+    write("done.h5", about, observed=chance > 0.9, occupancy_probability=np.float32(chance))
     for name, rows in (("run", ROWS), ("bad", "epoch,val_loss\n1,much\n"), ("none", "epoch\n")):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "metrics.csv").write_text(rows)
+        Path(name).mkdir()
+        Path(name, "metrics.csv").write_text(rows)
     settings = {"network": {"variant": "occ", "inputs": ["observed"]}, "kinds": ["pillar"]}
-    config = json.dumps({"settings": settings | {"samples": 7}})
-    (tmp_path / "run" / "config.json").write_text(config)
-    (tmp_path / "broken.h5").write_bytes(b"no")
-    (tmp_path / "empty.npz").write_bytes(b"PK")
-    return tmp_path
+    Path("run/config.json").write_text(json.dumps({"settings": settings | {"samples": 7}}))
+    Path("broken.h5").write_bytes(b"no")
+    Path("empty.npz").write_bytes(b"PK")
+    return standing
 
 
 EXPECTED = {name: json.loads(facts) for name, facts in cases("../model/facts")}
@@ -64,48 +62,48 @@ EXPECTED["scan.pcd"] = {
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_files_are_inspected(here, capsys, name):
-    facts = json.loads(done(capsys, f"inspect {here}/{name} --json"))
+    facts = json.loads(done(capsys, f"inspect {name} --json"))
     assert {key: facts[key] for key in EXPECTED[name]} == EXPECTED[name]
 
 
 @pytest.mark.parametrize("name", ["scan.pcd", "done.h5", "run"])
 def test_files_are_drawn(here, capsys, monkeypatch, name):
     monkeypatch.setattr("scenegen.view.stills.DPI", 40)
-    assert run(capsys, f"render {here}/{name} -o {here}/x.png --quiet") == (0, "", "")
-    assert (here / "x.png").read_bytes().startswith(b"\x89PNG")
+    assert run(capsys, f"render {name} -o x.png --quiet") == (0, "", "")
+    assert Path("x.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_path_is_shown_in_a_page_or_as_a_picture(here, capsys):
-    done(capsys, f"view {here}/done.h5 -o {here}/page.html")
-    (sample,) = Seen((here / "page.html").read_text(encoding="utf-8")).data()["samples"]
+    done(capsys, "view done.h5 -o page.html")
+    (sample,) = Seen(Path("page.html").read_text(encoding="utf-8")).data()["samples"]
     (look,) = scenegen.show(here / "done.h5", out=here / "shown.html").looks
     assert sample["name"] == look.name == "done"
-    picture = scenegen.show(str(here / "run"), out=here / "picture.html")
-    assert picture.looks == ()
-    assert repr(picture) == "<Shown: a picture>"
-    assert '<img src="data:image/png;base64,' in (here / "picture.html").read_text()
+    picture = scenegen.show("run", out="picture.html")
+    assert (picture.looks, repr(picture)) == ((), "<Shown: a picture>")
+    assert '<img src="data:image/png;base64,' in Path("picture.html").read_text()
     refuses("weights", scenegen.show, here / "shard.safetensors")
 
 
 def test_completions_of_a_folder_are_shown(here):
-    (here / "many").mkdir()
-    (here / "many" / "completions.json").write_text("{}")
+    many = here / "many"
+    many.mkdir()
+    (many / "completions.json").write_text("{}")
     for name in ("a.h5", "b.h5"):
-        shutil.copy(here / "done.h5", here / "many" / name)
-    assert [look.name for look in looks_of_completion(here / "many")] == ["a", "b"]
-    (here / "many" / "predictions.json").write_text("{}")
-    refuses("predictions", looks_of_completion, here / "many")
+        shutil.copy("done.h5", many / name)
+    assert [look.name for look in looks_of_completion(many)] == ["a", "b"]
+    (many / "predictions.json").write_text("{}")
+    refuses("predictions", looks_of_completion, many)
 
 
 def test_a_changed_completion_is_refused(here):
-    with h5py.File(here / "done.h5", "a") as file:
+    with h5py.File("done.h5", "a") as file:
         file.attrs["digest"] = "00"
     refuses("changed", looks_of_completion, here / "done.h5")
 
 
 def test_other_files_are_refused(here, capsys):
     for name in ("broken.h5", "none.h5", "none.pcd", "none.xml", "none", "shard.h5"):
-        refuses_command(capsys, f"inspect {here}/{name}")
+        refuses_command(capsys, f"inspect {name}")
     for name in ("split.h5", "bad", "empty.npz"):
-        refuses_command(capsys, f"render {here}/{name} -o {here}/x.png")
-        assert not (here / "x.png").exists()
+        refuses_command(capsys, f"render {name} -o x.png")
+    assert not Path("x.png").exists()

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
+from scenegen import Completer
 from scenegen.model.checkpoint import load_tensors, save_tensors
-from scenegen.model.completion.completer import Completer
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import input_called
 from tests.command_line import done, example, page, run

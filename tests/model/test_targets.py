@@ -14,17 +14,16 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import scenegen
+from scenegen import Completer
 from scenegen.model.bench.methods import Predicted
-from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.stored import prediction_facts
 from scenegen.model.config import NetworkConfig, TrainConfig
-from scenegen.model.inputs import turned
 from scenegen.model.targets import target_called
 from scenegen.worlds.labels import labels_by
 from tests.command_line import ROOT, done, example, page
 from tests.conftest import dataset_in, small_recipe
-from tests.model.training.runs import figures, maps_of, train
+from tests.model.training.runs import figures, train
 from tests.refusals import refuses, refuses_command
 from tests.scenegen import each_case
 
@@ -125,26 +124,13 @@ def test_a_scan_is_stored_with_its_classes(trained, capsys):
         assert_array_equal(file["classes"], completer(points, sensor=sensor).others["classes"])
 
 
-@pytest.mark.parametrize("variant", ["proposed", "occ", "columns"])
+@pytest.mark.parametrize("variant", ["occ", "columns"])
 def test_a_head_changes_none_of_the_others_shapes(here, variant):
     train(["data/street"], config_of(variant=variant, epochs=1), here / "run")
     completer = Completer.from_pretrained("my_labels:Classes@run")
     prediction = completer(np.zeros((3, 24, 24, 16), bool))
     assert prediction.others["classes"].shape == prediction.occupancy_probability.shape
     assert (prediction.tudf is None) == (variant == "occ")
-
-
-def test_classes_turn_with_the_map(here):
-    maps = maps_of(["data/street"], ("observed",), ("my_labels:Classes",))
-    assert maps.channels() == (len(LABELS.classes),)
-    straight = maps[0, 0]["classes"].numpy()
-    for view in range(8):
-        assert_array_equal(maps[0, view]["classes"], turned(straight, view))
-
-
-def test_a_run_goes_on_where_it_was(here):
-    rows = train(["data/street"], config_of(), here / "run")
-    assert train(["data/street"], config_of(), here / "run") == rows
 
 
 def test_files_that_name_other_arrays_are_refused(trained):
@@ -195,24 +181,6 @@ def test_what_is_wrong_with_a_target_is_told_in_one_line(here, name):
     (here / "wrong.py").write_text(WRONG)
     refuses(name, train, ["data/street"], config_of(targets=(f"wrong:{name}",)), here / "run")
     assert not (here / "run").exists()
-
-
-PLAIN = """
-import my_labels
-class Classes(my_labels.Classes):
-    metrics = {"one": lambda scored: 1.0}
-"""
-
-
-def test_a_metric_of_a_target_may_be_a_function(here):
-    (here / "plain.py").write_text(PLAIN)
-    settings = config_of(targets=("plain:Classes",), epochs=1)
-    (row,) = train(["data/street"], settings, here / "run")
-    assert row["val_classes_one"] == 1
-
-
-def test_a_dataset_without_labels_is_refused(here, folders):
-    refuses("no labels", train, [folders[0]], config_of(), here / "run")
 
 
 @each_case("../model/target_settings", "settings")

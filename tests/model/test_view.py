@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scenegen.dataset.read import Dataset
+from scenegen import Dataset
 from scenegen.model.bench.methods import Completed, Truth
 from scenegen.model.bench.report import CAUSES
 from scenegen.model.bench.run import bench

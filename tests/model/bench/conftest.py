@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenegen.dataset.read import Dataset
+from scenegen import Dataset
 from tests.model.conftest import make_dataset
 
 COUNTS = {"train": 3, "val": 4, "test": 9}

@@ -7,12 +7,12 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from scenegen import Completer
 from scenegen.model.bench import calibrate as module
 from scenegen.model.bench.calibrate import calibrate, count_logits, fit_temperature
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import load_network
-from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from tests.model.bench.test_bench import report_of
 from tests.model.conftest import saved_network
@@ -63,8 +63,12 @@ def test_stored_probabilities_are_judged(dataset, weights, tmp_path, undrawn):
         file["probability"] = np.array([one.occupancy for one in dataset.split("test")], np.float32)
     Predicted(tmp_path / "p").check(dataset, "test")
     words = ("--predictions", tmp_path / "p", "--reliability")
-    report = report_of(dataset, tmp_path / "b", *words, names=["truth"])
-    assert report["reliability"]["pillar"]["p"]["map"]["calibrated"]["ece"] == 0.0
+    report = report_of(dataset, tmp_path / "b", *words, names=["truth", "returns", "seen"])
+    rows = report["reliability"]["pillar"]
+    assert list(rows) == ["truth", "returns", "seen", "p"]
+    truth, returns = (rows[name]["map"]["said"]["ece"] for name in ("truth", "returns"))
+    assert truth == 0.0 < returns
+    assert rows["p"]["map"]["calibrated"]["ece"] == 0.0
 
 
 @pytest.mark.parametrize("weight", [None, 0])

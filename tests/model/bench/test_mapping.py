@@ -35,3 +35,4 @@ def test_obstacles_of_all_scans_are_seen(tmp_path):
 def test_plans_begin_at_the_sensor(tmp_path):
     dataset = dataset_in(tmp_path / "d", small_recipe(mapping={"map_ahead_m": (1.0, 0.0, 0.0)}))
     refuses("ahead", bench, dataset, [], BenchConfig(split="train"))
+    refuses("empty", bench, dataset, [], BenchConfig(split="val"))

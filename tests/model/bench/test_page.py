@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from scenegen.dataset.read import Dataset
+from scenegen import Dataset
 from scenegen.model.bench.methods import Completed, Truth
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
 from scenegen.model.bench.report import (
@@ -35,36 +35,40 @@ def measured(made):
     blind = Nothing()  # is taken for a learned one, and its paths go through everything
     blind.name = HOSTILE
     methods = [Truth(), Completed(Returns()), Completed(blind)]
-    dataset = Dataset(made)
-    return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
+    config = BenchConfig(split="train", trials=40, thresholds=Thresholds(probability=0.4))
+    return bench(Dataset(made), methods, config), methods
+
+
+def report_with(result, **changes):
+    """The report of a result that is changed."""
+    return build_report([dataclasses.replace(result, **changes)], seed=0, about={})
 
 
 @pytest.fixture
 def report(measured):
     """The report of what was measured."""
-    return build_report([measured[0]], seed=0, about={})
+    return report_with(measured[0])
 
 
 def test_the_page_holds_figures_and_runs_nothing(measured, monkeypatch):
     """Both tables, the paper's, charts and pictures."""
     monkeypatch.setattr("scenegen.view.stills.DPI", 40)
-    result, _, methods = measured
+    result, methods = measured
     name, trials = failing(result)
     assert name == HOSTILE
     assert 0 < len({result.trial_worlds[n] for n in trials}) == len(trials) <= 3
     report = build_report([result], seed=0, about={"command": HOSTILE})
     failures = draw_failures(result, methods)
-    assert len(failures) == len(trials)
-    assert all(image.startswith(b"RIFF") for _, image in failures)
     page = Seen(to_html(report, {result.kind: failures}))
-    running = {"script", "iframe", "object", "embed", "link", "a"}
-    assert not {tag for tag, *_ in page.found} & running
-    attributes = {name for _, names, _ in page.found for name in names}
-    assert not {name for name in attributes if name.startswith("on") or name == "href"}
-    images = [names["src"] for tag, names, _ in page.found if tag == "img"]
-    assert len(images) == len(failures)
-    assert all(str(source).startswith("data:image/webp;base64,") for source in images)
-    text = " ".join(text for *_, text in page.found)
+    tags, attributes, texts = zip(*page.found, strict=True)
+    assert not {*tags} & {"script", "iframe", "object", "embed", "link", "a"}
+    names = {name for names in attributes for name in names}
+    assert not {name for name in names if name.startswith("on") or name == "href"}
+    images = [names["src"] for names in attributes if "src" in names]
+    assert len(images) == len(failures) == len(trials)
+    assert {str(source)[:27] for source in images} == {"data:image/webp;base64,UklG"}  # RIFF
+    text = " ".join(texts)
+    assert text.count("above 0.4 or") == 3  # captions of both tables, and by class
     assert text.count(HOSTILE) >= 4  # the command, a row of each table, failures
     for table, metrics in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
         rows = report[table][result.kind].values()
@@ -80,16 +84,8 @@ def test_a_chart_has_a_dot_each_method(report):
     assert dots[:2] == [3 + papers, 3 + papers]  # success and IoU lead
 
 
-def test_captions_have_the_benchs_thresholds(measured):
-    result = measured[0]
-    other = dataclasses.replace(result.config, thresholds=Thresholds(probability=0.4))
-    report = build_report([dataclasses.replace(result, config=other)], seed=0, about={})
-    captions = [text for tag, _, text in Seen(to_html(report, {})).found if tag == "span"]
-    assert sum("above 0.4 or" in text for text in captions) == 3  # both tables, and by class
-
-
 def test_the_page_of_samples_shows_the_worst(measured, report):
-    result, _, methods = measured
+    result, methods = measured
     samples = Seen(extremes(report, [result], methods)).data()["samples"]
     worst = result.numbers[int(np.argmin(result.methods["returns"].values("iou")))]
     assert [len(sample["guesses"]) for sample in samples] == [1, 1]
@@ -99,6 +95,28 @@ def test_the_page_of_samples_shows_the_worst(measured, report):
     assert fetched == ["samples.html"]
 
 
+def test_one_world_gives_no_interval(measured):
+    result = measured[0]
+    worlds = {name: np.zeros_like(getattr(result, name)) for name in ("worlds", "trial_worlds")}
+    report = report_with(result, **worlds)
+    figure = report["reconstruction"]["pillar"]["returns"]["iou"]
+    assert (figure["low"], figure["high"], figure["n"]) == (None, None, 11)
+    assert {test["low"] for test in report["tests"]["pillar"]} == {None}
+    assert "nan" not in to_markdown(report)
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["truth"], "Only references were measured."),
+        (["truth", "returns"], ", and no other method was measured."),
+    ],
+)
+def test_a_story_needs_a_method(measured, names, expected):
+    methods = {name: measured[0].methods[name] for name in names}
+    assert story(report_with(measured[0], methods=methods), "pillar").endswith(expected)
+
+
 LEADS = [
     ((0.02, 0.06), ", which is 0.040 [0.020, 0.060] higher than b, the next."),
     ((-0.01, 0.09), ". A lead over b, the next, is not shown: 0.040 [-0.010, 0.090]."),
@@ -106,32 +124,22 @@ LEADS = [
 ]
 
 
-def test_a_story_needs_a_method(measured):
-    result = measured[0]
-    for names, expected in (
-        (["truth"], "Only references were measured."),
-        (["truth", "returns"], ", and no other method was measured."),
-    ):
-        methods = {name: result.methods[name] for name in names}
-        report = build_report([dataclasses.replace(result, methods=methods)], seed=0, about={})
-        assert story(report, "pillar").endswith(expected)
-
-
 @pytest.mark.parametrize(("ends", "expected"), LEADS)
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_lead_may_not_be_shown(report, ends, expected, turned):
     """Whichever of both methods was subtracted."""
     figures = {"std": 0.1, "low": 0.1, "high": 0.9, "n": 9}
-    rows = report["planning"]["pillar"]
-    means = {"b": 0.5, "a": 0.54, "truth": 1.0}
+    row = report["planning"]["pillar"]["truth"]
     report["planning"]["pillar"] = {
-        name: {**rows["truth"], "success": {**figures, "mean": mean}}
-        for name, mean in means.items()
+        name: {**row, "success": {**figures, "mean": mean}}
+        for name, mean in (("b", 0.5), ("a", 0.54), ("truth", 1.0))
     }
-    low, high = ends if not turned or None in ends else (-ends[1], -ends[0])
-    names = ("b", "a") if turned else ("a", "b")
-    test = dict(zip(("first", "second"), names, strict=True), metric="success")
-    test |= {"difference": -0.04 if turned else 0.04, "low": low, "high": high}
+    names, difference, (low, high) = ("a", "b"), 0.04, ends
+    if turned:
+        names, difference = ("b", "a"), -0.04
+        low, high = (None, None) if low is None else (-high, -low)
+    test = {"first": names[0], "second": names[1], "metric": "success"}
+    test |= {"difference": difference, "low": low, "high": high}
     report["tests"]["pillar"].append(test)
     begin = "Paths planned on the maps of a succeed most often: 0.540 [0.100, 0.900]"
     assert begin + expected in story(report, "pillar")
@@ -139,12 +147,10 @@ def test_a_lead_may_not_be_shown(report, ends, expected, turned):
 
 def test_the_papers_figures_say_how_presets_were_tuned(report):
     """Whatever prints them; a kind that the paper does not have says nothing of it."""
-    assert to_markdown(report).count(TUNED) == 1
-    assert html.unescape(to_html(report, {})).count(TUNED) == 1
-    parts = ("reconstruction", "planning", "tests", "datasets")
-    other = {part: {"rooms": figures} for part in parts for figures in report[part].values()}
-    _, body = to_html(other, {}).split("</style>")
-    assert "paper" not in to_markdown(other) + body
+    other = {part: {"rooms": by_kind["pillar"]} for part, by_kind in report.items()}
+    for write in (to_markdown, lambda report: html.unescape(to_html(report, {}))):
+        assert write(report).count(TUNED) == 1
+        assert "paper" not in write(other).rpartition("</style>")[2]
 
 
 @each_case("../model/best", "better means expected", json.loads)

@@ -80,16 +80,16 @@ def test_other_maps_are_refused(tmp_path):
     completer = completer_of(tmp_path / "net.safetensors", GRID, inputs=inputs)
     empty, metres = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5)
     assert completer({"observed": empty, "distance": metres}).tudf.shape == GRID.shape
-    for name, maps in {
-        "observed alone": {"observed": empty},
-        "another shape": {"observed": np.zeros((24, 16, 8)), "distance": metres},
-        "no mask": {"observed": metres, "distance": metres},
-        "no map": {"observed": empty[None][:0], "distance": metres[None][:0]},
-        "no array": {"observed": None, "distance": metres},
-        "NaN": {"observed": empty, "distance": np.nan * metres},
-        "another count": {"observed": empty, "distance": np.stack([metres] * 2)},
-    }.items():
-        refuses(name, completer, maps)
+    for name, *maps in (
+        ("observed alone", empty),
+        ("another shape", np.zeros((24, 16, 8)), metres),
+        ("no mask", metres, metres),
+        ("no map", empty[None][:0], metres[None][:0]),
+        ("no array", None, metres),
+        ("NaN", empty, np.nan * metres),
+        ("another count", empty, np.stack([metres] * 2)),
+    ):
+        refuses(name, completer, dict(zip(inputs, maps, strict=False)))
     refuses("grid", completer.complete, empty, empty, grid=GridSpec())
 
 

@@ -11,9 +11,9 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
+from scenegen import Dataset
 from scenegen.base.errors import DatasetError
 from scenegen.cli.complete import complete_scans
-from scenegen.dataset.read import Dataset
 from scenegen.model.bench.methods import Predicted
 from scenegen.model.completion import predictions
 from scenegen.model.completion.predictions import predict_split
@@ -52,12 +52,12 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
             assert_allclose(values, direct[name], atol=1e-5)
 
 
-def change(place, values, name="tudf"):
-    """Other values at a place of an array."""
+def change(place, value, name="tudf"):
+    """Another value in an array."""
 
     def damage(path):
         with h5py.File(path, "a") as file:
-            file[name][place] = values(file[name][place])
+            file[name][place] = value
 
     return damage
 
@@ -70,12 +70,10 @@ def swap_samples(path):
 
 
 DAMAGES = {
-    "flip": change((1, 3, 4, 5), lambda metres: metres + 1e-3),
-    "rows": change(..., lambda rows: rows[::-1]),
-    "NaN": change((0, 0, 0, 0), lambda chance: np.nan, "occupancy_probability"),
+    "flip": change((1, 3, 4, 5), 0.123),
+    "NaN": change((0, 0, 0, 0), np.nan, "occupancy_probability"),
     "samples": swap_samples,
     "cut": lambda path: path.write_bytes(path.read_bytes()[:1000]),
-    "empty": lambda path: path.write_bytes(b""),
     "twice": lambda path: path.write_bytes(path.with_name("test-00001.h5").read_bytes()),
 }
 
@@ -102,15 +100,15 @@ def scans_in(folder, **points):
 
 def test_damaged_completions_are_made_again(net, tmp_path, capsys):
     tasks = list(scans_in(tmp_path, a=np.full((4, 3), 0.5), b=np.full((4, 3), 1.5)))
-    out = tmp_path / "out"
-    complete_scans(net, 2, tasks, out, True)
-    whole = {path: path.read_bytes() for path in out.glob("*.h5")}
-    change((1, 2, 3), lambda metres: metres + 1e-3)(out / "a.h5")
-    complete_scans(net, 2, tasks, out, True)
-    (out / "b.h5").write_bytes(whole[out / "a.h5"])  # whole, and of another scan
-    complete_scans(net, 2, tasks, out, True)
+    out, run = tmp_path / "out", partial(complete_scans, net, 2, tasks, tmp_path / "out", True)
+    run()
+    whole = contents(out)
+    change((1, 2, 3), 0.123)(out / "a.h5")
+    run()
+    (out / "b.h5").write_bytes(whole["a.h5"])  # whole, and of another scan
+    run()
     assert capsys.readouterr().err.count("completed again") == 2
-    assert {path: path.read_bytes() for path in out.glob("*.h5")} == whole
+    assert contents(out) == whole
 
 
 def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
@@ -124,9 +122,8 @@ def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
         warnings.simplefilter("error")
         scan = read_scan(tmp_path / "scan.npy", sample.position)
         report = predict_scan(net, scan, out)
-    assert report.inside == len(points)
-    assert report.points == len(points) + 5
-    assert report.without == 3
+    counts = report.inside, report.points, report.without
+    assert counts == (len(points), len(points) + 5, 3)
     check_wording("summary", "; ".join(summary(net, [report])))
     expected = net(sample.observed)
     with h5py.File(out) as file:
@@ -142,41 +139,31 @@ def test_scans_are_completed_as_their_samples(folders, net, tmp_path):
 
 def test_unfit_scans_and_places_are_refused(net, tmp_path):
     tasks = dict(scans_in(tmp_path, far=np.full((4, 3), 1000.0), good=np.full((4, 3), 0.5)))
-    odd = tmp_path / "odd.ply"
-    odd.write_bytes(b"ply\nformat ascii 1.0\n")
     refuses("far", predict_scan, net, tasks["far"](), tmp_path / "o.h5")
     refuses("format", predict_scan, net, tasks["good"](), tmp_path / "o.txt")
-    refuses("another's", predict_scan, net, tasks["good"](), odd)
-    assert odd.read_bytes() == b"ply\nformat ascii 1.0\n"
+    assert not list(tmp_path.glob("o.*"))
     for name in ("scan.e57", "missing.npy"):
         refuses(name, read_scan, tmp_path / name, [0, 0, 0])
     refuses("sensor", read_scan, tmp_path / "good.npy", [0, 0, np.nan])
-    assert not list(tmp_path.glob("o.*"))
-    for _ in range(2):  # our own is replaced
-        predict_scan(net, tasks["good"](), tmp_path / "ours.ply")
 
 
 @pytest.mark.parametrize("room", [1, 3000])
 def test_a_full_disk_leaves_nothing(room, folders, net, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
     tasks = list(scans_in(tmp_path, s=np.full((4, 3), 0.5), t=np.full((4, 3), 0.5)))
-    before = set(tmp_path.iterdir())
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        split = predict_split, net, Dataset(folders[0]), "train", tmp_path / "p"
-        lines = [raised(*split), raised(complete_scans, net, 2, tasks, tmp_path, True)]
-        gc.collect()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    for number, line in enumerate(lines):
+    before, limits = set(tmp_path.iterdir()), resource.getrlimit(resource.RLIMIT_FSIZE)
+    split = predict_split, net, Dataset(folders[0]), "train", tmp_path / "p"
+    lines = []
+    for act, *given in (split, (complete_scans, net, 2, tasks, tmp_path, True)):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+        try:
+            with pytest.raises(DatasetError) as caught:
+                act(*given)
+            lines.append(str(caught.value))
+            gc.collect()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    for number, line in enumerate(lines):  # which a file of any size may hold now
         check_wording((room, number), line)
     assert {path.name for path in {*tmp_path.rglob("*")} - before} <= {"p", "predictions.json"}
     assert capfd.readouterr() == ("", "")
-
-
-def raised(act, *given):
-    """What a DatasetError says that is raised."""
-    with pytest.raises(DatasetError) as caught:
-        act(*given)
-    return str(caught.value)

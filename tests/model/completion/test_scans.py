@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose, assert_equal
 from lidarsim import GridSpec, Pose
 from lidarsim.grid import iou
 from lidarsim.pose import rotate
-from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
+from scenegen import Completer
+from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.worlds.clouds.write import write_points
 from scenegen.worlds.place import FREE
 from tests.command_line import run
@@ -85,11 +85,6 @@ def test_observations_are_scored_where_known(tmp_path, points, rng):
         said = file["occupancy_probability"][:] > 0.85
     expected = iou(said[truth["known"]], truth["occupancy"][truth["known"]])
     assert [report.iou for report in reports] == [pytest.approx(expected), None]
-
-
-def test_the_ground_is_what_lies_below(points):
-    assert height_above_returns(points) == pytest.approx(1.27)
-    assert height_above_returns(points[points[:, 2] > 0]) is None
 
 
 @pytest.mark.parametrize("name", ["far.npy", "zeros.npy", "hall.npz"])

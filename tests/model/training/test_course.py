@@ -29,8 +29,8 @@ def rates(course, decay=None):
 def test_constant_rates_end_where_validation_stalls():
     steady = course(lr=2.0, epochs=10, patience=3, schedule="constant")
     assert set(rates(steady)) == {2.0}
-    losses = [1.0, 0.5, 0.6, 0.6, 0.6]
-    rounds = [steady.steps(Progress(rows=[{"val_loss": x} for x in losses[:n]])) for n in (4, 5)]
+    rows = [{"val_loss": loss} for loss in (1.0, 0.5, 0.6, 0.6, 0.6)]
+    rounds = [steady.steps(Progress(rows=rows[:n])) for n in (4, 5)]
     assert rounds == [range(40, 50), range(0)]
 
 
@@ -47,10 +47,8 @@ def test_a_decay_is_linear_wherever_it_begins(decay):
 
 
 def test_a_budget_in_maps_replaces_passes():
-    assert course(epochs=3).end(None) == 30
-    assert course(epochs=3, maps=480).end(None) == 60
-    assert course(maps=3).end(None) == 1
-    assert course(count=5, maps=100).end(None) == 20
+    budgets = {"epochs": 3}, {"epochs": 3, "maps": 480}, {"maps": 3}, {"count": 5, "maps": 100}
+    assert [course(**budget).end(None) for budget in budgets] == [30, 60, 1, 20]
 
 
 @pytest.mark.parametrize("interval", [None, 24, 200])

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from lidarsim import Lidar
-from scenegen import generate
-from scenegen.dataset.read import Dataset
+from scenegen import Dataset, generate
 from scenegen.dataset.selection import Choice, choose, encode_selection
 from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
