@@ -63,7 +63,7 @@ LATENCY_S = {
     "anywhere": 4 * STEP_S,
     "anywhere, brakes": 3 * STEP_S,
     "anywhere, brakes at 0.5": 3 * STEP_S,
-    "anywhere, RRT*, brakes": 3 * STEP_S,
+    "sampling:anywhere, brakes": 3 * STEP_S,
 }
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
 benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch."""
@@ -155,8 +155,8 @@ BASELINES = ("optimistic, brakes", "extrude, brakes")
 GAINS = ("success", "collision", "progress", "score", BLOCKED)
 """Figures of which differences are told."""
 NUMBERS = (
-    *("blocked", "score", "progress", "time_s", "shortest_s", "ratio", "mean_clearance_m"),
-    *("min_clearance_m",),
+    *("blocked", "score", "progress", "time_s", "shortest_s", "ratio"),
+    *("mean_clearance_m", "min_clearance_m"),
 )
 COLUMNS = ("run", "robot", "world", "level", "seed", "mission", "outcome", *NUMBERS, "digest")
 
@@ -169,8 +169,6 @@ class Options(measuring.Options):
     runs: Sequence[str] = tuple(RUNS)
     robots: Sequence[str] | None = None
     """some of those of the plan; by default all"""
-    every: int = 1
-    """one of so many courses"""
     maps: Path | None = None
     """folder of the maps of the track places"""
     exported: Path | None = None
@@ -181,9 +179,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them beside the page."""
-    given = measuring.parse(
-        Options, every=300, runs=["drawn"], robots=["reactive", "optimistic, brakes"]
-    )
+    given = measuring.parse(Options, runs=["drawn"], robots=["reactive", "optimistic, brakes"])
     with tempfile.TemporaryDirectory() as spare:
         entries = given.entries or (Path(spare) if given.smoke else None)
         file = Path(spare) / given.flights.name if given.smoke else given.flights
@@ -208,13 +204,13 @@ def parts(name: str) -> tuple[str, str | None, str, float | None]:
     return robot, network, robot_name(title, brakes), brakes
 
 
-def courses_of(title: str, robot: str, given: Options) -> list[Course]:
-    """The courses of a run for a robot of this title."""
+def courses_of(title: str, name: str, given: Options) -> list[Course]:
+    """The courses of a run for the robot of this name; with --smoke, the first one."""
     run = RUNS[title]
     every = chosen_courses(run.track, given.maps if run.track == "places" else None, quick=False)
     if run.some:  # worlds of a kind and level follow one another
         every = [one for n, one in enumerate(every) if n % WORLDS["drawn"] < SOME]
-    rules = {"latency_s": LATENCY_S[robot], **run.rules}
+    rules = {"latency_s": LATENCY_S[name], **run.rules}
     return [
         replace(
             one,
@@ -222,7 +218,7 @@ def courses_of(title: str, robot: str, given: Options) -> list[Course]:
             rules=replace(one.rules, **rules),
             noise=run.noise,
         )
-        for one in every[:: given.every]
+        for one in every[: 1 if given.smoke else None]
     ]
 
 
@@ -232,7 +228,7 @@ def flown(title: str, name: str, entries: Path, given: Options) -> list[list[Any
     exported = given.exported and network and given.exported / f"{network}.onnx"
     if exported and exported.is_file():
         network = str(exported)
-    courses = courses_of(title, called, given)
+    courses = courses_of(title, name, given)
     entries.mkdir(parents=True, exist_ok=True)
     file = entries / f"{title}-{called.replace(', ', '-')}.json"
     work = partial(fly_course, robot=robot, weights=network, brakes=brakes)
@@ -437,12 +433,19 @@ def tracks(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
             for name, flights in robots.items()
         ]
         lines += titled(f"## Robots: {track}", FIGURES, rows)
-        for base in {*BASELINES} & robots.keys():
+        for base in [name for name in BASELINES if name in robots]:
             rows = [
-                (f"`{name}`", [shown(gain(flights, robots[base], figure)) for figure in GAINS])
+                (
+                    f"`{name}`",
+                    [
+                        *(shown(gain(flights, robots[base], figure)) for figure in GAINS),
+                        *(longer(flights, robots[base], what) for what in ("ratio", "time_s")),
+                    ],
+                )
                 for name, flights in robots.items()
             ]
-            lines += titled(f"## {track.capitalize()}, less `{base}`", GAINS, rows)
+            heads = *GAINS, "path, log ratio", "time, log ratio"
+            lines += titled(f"## {track.capitalize()}, less `{base}`", heads, rows)
         for column, figure in product(("level", "world"), ("success", "score")):
             groups = list(dict.fromkeys(next(iter(robots.values()))[column]))
             rows = [
@@ -455,6 +458,14 @@ def tracks(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
             if groups[1:]:
                 lines += titled(f"## {track.capitalize()}, {figure} by {column}", groups, rows)
     return lines
+
+
+def longer(first: Rows, second: Rows, what: str) -> str:
+    """The logarithm of the ratio of a column, over the flights that both robots end at the goal."""
+    both = (first["success"] > 0) & (second["success"] > 0)
+    values = np.full(len(both), np.nan)
+    values[both] = np.log(first[what][both] / second[what][both])
+    return told(values, first["group"], "+.3f")
 
 
 def scale_of(figure: str) -> Any:

@@ -186,9 +186,8 @@ class Simulation:
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
         # `dynamics` is not a number, and a real robot would not know it
-        return {
-            name: np.asarray(value, float) for name, value in facts.items() if name != "dynamics"
-        }
+        # arrays of the caller's own: the sensor's directions belong to all flights
+        return {name: np.array(value, float) for name, value in facts.items() if name != "dynamics"}
 
     def observe(self) -> Observation:
         """Scan the world and return what the robot observes.

@@ -40,12 +40,14 @@ def test_worlds_count_alike_however_many_of_their_lines_are_blocked(fly, tmp_pat
     file = tmp_path / "flights.csv.gz"
     scores = {("anywhere, brakes", 1): 0.4, ("anywhere, brakes", 2): 0.1}
     for robot in fly.PAIR:
-        rows = [
-            row(robot, seed=seed, mission=n, blocked=int(seed == 1 or n == 0), score=score)
-            for seed in (1, 2)
-            for n in range(3)
-            for score in [scores.get((robot, seed), 0.2)]
-        ]
+        rows = []
+        for seed, lines in ((1, (1, 1, 1)), (2, (1, 0, 0))):
+            score = scores.get((robot, seed), 0.2)
+            # where the line is free, the score is another one, which does not count
+            rows += [
+                row(robot, seed=seed, mission=n, blocked=line, score=score if line else 3 * score)
+                for n, line in enumerate(lines)
+            ]
         fly.keep(rows, file)
     flights = fly.by_run(file)["drawn"]
     gains = fly.gain(*(flights[name] for name in reversed(fly.PAIR)), fly.BLOCKED)

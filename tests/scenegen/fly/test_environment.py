@@ -42,6 +42,7 @@ def test_gymnasium_checks_and_flies_it():
     assert named.observation_space["ranges"].shape == (16, 1808)
     env = made(world="pillar", lidar="raster")
     check_env(env.unwrapped)
+    check_env(made(world="pillar", worlds=2).unwrapped)  # whose flights share a sensor
     first, about = env.reset(options={"seed": 3})
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
     towards = (first["goal"] - first["position"]) / 10
