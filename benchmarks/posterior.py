@@ -331,9 +331,24 @@ def is_near(made, position, range_m):
 
 
 @kernel
-def try_move(move, count, numbers, prior, forms, position, close, nearby, rng):
-    """Propose a change of `numbers`, in place; nudges and other shapes are of the `nearby` pillars
-    that `close` lists.
+def visible_ones(owners, most, visible):
+    """List the pillars that return a ray in `visible`, in place; return how many they are."""
+    returns = np.zeros(most, np.bool_)
+    for owner in owners:
+        if owner >= 0:
+            returns[owner] = True
+    found = 0
+    for k in range(most):
+        if returns[k]:
+            visible[found] = k
+            found += 1
+    return found
+
+
+@kernel
+def try_move(move, count, numbers, prior, forms, position, visible, several, rng):
+    """Propose a change of `numbers`, in place; nudges and other shapes are of the `several` pillars
+    that `visible` lists.
 
     Returns the new count, the first pillar that is changed or -1 if none can be, and the logarithm
     of the ratio by which the proposal is corrected (prior, proposal and Jacobian, without the
@@ -341,9 +356,9 @@ def try_move(move, count, numbers, prior, forms, position, close, nearby, rng):
     """
     n = rng.integers(0, count)
     if move in (1, 2):
-        if nearby == 0:
+        if several == 0:
             return count, -1, 0.0
-        n = close[rng.integers(0, nearby)]
+        n = visible[rng.integers(0, several)]
     row = numbers[n]
     if move == 0:  # redraw
         draw_pillar(n, row, prior, rng)
@@ -481,8 +496,8 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
     rays, most = len(ranges), len(numbers)
     old_numbers, old_forms = numbers.copy(), forms.copy()
     moved, close = np.zeros(most, np.bool_), np.empty(most, np.int64)
-    closer = np.empty(most, np.int64)
-    nearby = near_ones(count, forms, position, range_m, close)
+    visible, visible_then = np.empty(most, np.int64), np.empty(most, np.int64)
+    several = visible_ones(owners, most, visible)
     list_of, old_t = np.empty(rays, np.int64), np.empty(rays)
     old_owner, old_crossed = np.empty(rays, np.int64), np.empty(rays, np.int64)
     old_end = np.empty(rays, np.int64)
@@ -490,10 +505,10 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
         move = int(np.searchsorted(chances, rng.random()))
         tried[move] += 1
         after, first, ratio = try_move(
-            move, count, numbers, prior, forms, position, close, nearby, rng
+            move, count, numbers, prior, forms, position, visible, several, rng
         )
         wanted = wrong
-        done = 0
+        done, then = 0, several
         fits = first >= 0 and math.log(rng.random()) < ratio
         threshold = math.log(rng.random())
         is_seen = False
@@ -518,17 +533,12 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                     if apart(numbers[k], forms[k], position[0], position[1]) < prior[CLEAR_M]:
                         fits = False
                         break
-        still = nearby
         if fits and is_seen:
-            still = near_ones(after, forms, position, range_m, closer)
-            # a proposal that were not as likely the other way round
-            if move in (1, 2) and (still != nearby or not is_near(forms[first], position, range_m)):
-                fits = False
-        if fits and is_seen:
+            nearby = near_ones(after, forms, position, range_m, close)
             for ray in range(rays):
                 t, owner = recast(
                     ranges[ray], owners[ray], directions[ray], position, prior[HEIGHT], moved,
-                    closer, still, after, numbers, forms,
+                    close, nearby, after, numbers, forms,
                 )  # fmt: skip
                 if t > range_m:
                     t, owner = math.inf, -1
@@ -547,6 +557,14 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                 wanted += turn(ray, to_crossed, to_end, world, seen)
             if fits and wanted > wrong:
                 fits = sharpness < math.inf and threshold < -sharpness * (wanted - wrong)
+            if fits and done > 0:
+                then = visible_ones(owners, most, visible_then)
+                if move in (1, 2):
+                    # on the way back, the pillar is chosen from those that are visible then
+                    possible = False
+                    for n in range(then):
+                        possible = possible or visible_then[n] == first
+                    fits = possible and rng.random() * then < several
         if fits:
             for k in range(first, max(count, after)):
                 if moved[k] and k < after:
@@ -554,9 +572,9 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
             # pillars that only changed their description keep their form, not their numbers
             old_numbers[first], old_forms[first] = numbers[first], forms[first]
             count, wrong = after, wanted
-            if is_seen:
-                nearby = still
-                close[:still] = closer[:still]
+            if done > 0:
+                several = then
+                visible[:then] = visible_then[:then]
             taken[move] += 1
             continue
         for n in range(done):
@@ -575,12 +593,12 @@ class Chain:
         looked: What the scan made known.
         prior: See `prior_of`.
         numbers: (pillars, NUMBERS): the world that it begins with.
-        seed: Of its moves.
+        seed: Of its moves: what `numpy.random.default_rng` takes.
     """
 
     chances = np.cumsum([0.4, 0.35, 0.1, 0.05, 0.05, 0.05])
 
-    def __init__(self, looked: Looked, prior: Floats, numbers: Floats, seed: int):
+    def __init__(self, looked: Looked, prior: Floats, numbers: Floats, seed: Any):
         self.looked, self.prior = looked, prior
         self._rng = np.random.default_rng(seed)
         self.count = len(numbers)
