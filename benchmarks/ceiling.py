@@ -46,8 +46,10 @@ RECIPE = replace(preset("pillar"), flight=replace(preset("pillar").flight, viewp
 KIND = cast(Pillar, RECIPE.world)
 METHODS = ("extrude",)
 CAREFUL, EDGES = PlanConfig(planner="careful"), PlanConfig(edge_check=True)
-COOLING = np.geomspace(0.005, 5.0, 50)
+COOLING = np.geomspace(0.005, 2.0, 40)
 """Sharpness of the likelihood while a chain is annealed, one after the other."""
+NEARLY, TEPID = 25, 0.05
+"""With at most so many wrong voxels a chain is annealed again, from this sharpness on."""
 ROUNDING = 60
 """Voxels by which our rays may differ from the library's: a return on a voxel's face, or a ray that
 grazes a pillar here and crosses voxels behind it there."""
@@ -72,7 +74,7 @@ class Options(scoring.Options):
     """maps for which a second chain begins elsewhere"""
     heating: int = 20_000
     """steps at each sharpness"""
-    attempts: int = 6
+    attempts: int = 4
     """annealed, at most, until one has the scan"""
     part: tuple[int, int] = (0, 1)
     """of so many parts, sample this one"""
@@ -142,16 +144,19 @@ def sampled(sample: Sample, number: int, begin: str, given: Options) -> dict[str
 def annealed(chain: Chain, number: int, given: Options) -> Chain:
     """A chain for the same scan that began with other worlds of the recipe, which slowly became
     worlds with this scan; of several attempts the first that succeeds, or the nearest."""
-    attempts = []
+    chains: list[Chain] = []
     for attempt in range(given.attempts):
         seed = [SEED, number, attempt]
-        numbers = numbers_of(KIND, np.random.default_rng(seed))
-        attempts.append(Chain(chain.looked, chain.prior, numbers, seed))
-        for sharpness in (*COOLING, np.inf):
-            attempts[-1].walk(given.heating, sharpness)
-        if not attempts[-1].wrong:
+        numbers, sharpnesses = numbers_of(KIND, np.random.default_rng(seed)), COOLING
+        if chains and chains[0].wrong <= NEARLY:
+            (numbers, _), sharpnesses = chains[0].world(), COOLING[COOLING >= TEPID]
+        other = Chain(chain.looked, chain.prior, numbers, seed)
+        for sharpness in (*sharpnesses, np.inf):
+            other.walk(given.heating, sharpness)
+        chains = sorted([*chains, other], key=lambda one: one.wrong)
+        if not chains[0].wrong:
             break
-    return min(attempts, key=lambda one: one.wrong)
+    return chains[0]
 
 
 def sections_of(given: Options, number: int, kind: str = "truth") -> Mask:

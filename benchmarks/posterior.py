@@ -346,9 +346,10 @@ def visible_ones(owners, most, visible):
 
 
 @kernel
-def try_move(move, count, numbers, prior, forms, position, visible, several, rng):
+def try_move(move, count, numbers, prior, forms, position, visible, several, searching, rng):
     """Propose a change of `numbers`, in place; nudges and other shapes are of the `several` pillars
-    that `visible` lists.
+    that `visible` lists. One who is `searching` for a world, and not sampling, also puts pillars
+    beside visible ones.
 
     Returns the new count, the first pillar that is changed or -1 if none can be, and the logarithm
     of the ratio by which the proposal is corrected (prior, proposal and Jacobian, without the
@@ -362,7 +363,11 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, rng
     row = numbers[n]
     if move == 0:  # redraw
         draw_pillar(n, row, prior, rng)
-        return count, n, 0.0
+        if searching and several > 0 and row[PASSAGE] == 0.0 and rng.random() < 0.5:
+            beside = forms[visible[rng.integers(0, several)]]
+            row[X] = beside[AT_X] + 0.5 * rng.normal()
+            row[Y] = beside[AT_Y] + 0.5 * rng.normal()
+        return count, n if within(row, prior) else -1, 0.0
     if move == 1:  # nudge
         scale = 10.0 ** rng.uniform(-3.0, 0.0)
         which = rng.integers(0, 4)
@@ -505,8 +510,9 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
         move = int(np.searchsorted(chances, rng.random()))
         tried[move] += 1
         after, first, ratio = try_move(
-            move, count, numbers, prior, forms, position, visible, several, rng
-        )
+            move, count, numbers, prior, forms, position, visible, several,
+            sharpness < math.inf, rng,
+        )  # fmt: skip
         wanted = wrong
         done, then = 0, several
         fits = first >= 0 and math.log(rng.random()) < ratio
