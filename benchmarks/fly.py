@@ -53,6 +53,7 @@ LATENCY_S = {
     "truth": 1 * STEP_S,
     "optimistic": 1 * STEP_S,
     "optimistic, brakes": 1 * STEP_S,
+    "pessimistic, brakes": 1 * STEP_S,
     "extrude": 1 * STEP_S,
     "extrude, brakes": 1 * STEP_S,
     "returns": 1 * STEP_S,
@@ -102,7 +103,8 @@ VARIED = {
 }
 RUNS: dict[str, Run] = {
     "drawn": Run(ALL),
-    **{track: Run(SIX, track) for track in ("unseen", "movers", "places")},
+    "unseen": Run((*SIX, "pessimistic, brakes"), "unseen"),
+    **{track: Run(SIX, track) for track in ("movers", "places")},
     **{
         title: Run(FIVE, some=True, vehicle={"speed_mps": speed})
         for title, speed in AT_SPEEDS.items()
