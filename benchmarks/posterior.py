@@ -73,7 +73,7 @@ class State(NamedTuple):
     """(voxels,): returns in each."""
 
 
-MOVES = "redraw", "nudge", "reshape", "number", "exchange", "passage"
+MOVES = "redraw", "nudge", "reshape", "number", "exchange", "passage", "swing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,6 +434,18 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, sea
         for k in range(NUMBERS):
             numbers[n, k], numbers[m, k] = numbers[m, k], numbers[n, k]
         return count, min(n, m), 0.0
+    if move == 6:  # swing: a pillar of a passage stays, and those that it stands beside move
+        if row[PASSAGE] == 0.0:
+            return count, -1, 0.0
+        x, y, root = forms[n, AT_X], forms[n, AT_Y], n
+        while numbers[root, PASSAGE] > 0.0:
+            root = int(numbers[root, PARENT])
+        row[ANGLE] = rng.uniform(0.0, 2 * math.pi)
+        row[GAP] = rng.uniform(prior[GAPS], prior[GAPS + 1])
+        form(n, numbers, forms, prior)
+        numbers[root, X] += x - forms[n, AT_X]
+        numbers[root, Y] += y - forms[n, AT_Y]
+        return count, root if within(numbers[root], prior) else -1, 0.0
     # the same place, described as a passage beside an earlier pillar, or as of its own
     if n == 0:
         return count, -1, 0.0
@@ -602,7 +614,7 @@ class Chain:
         seed: Of its moves: what `numpy.random.default_rng` takes.
     """
 
-    chances = np.cumsum([0.4, 0.35, 0.1, 0.05, 0.05, 0.05])
+    chances = np.cumsum([0.35, 0.3, 0.1, 0.05, 0.05, 0.05, 0.1])
 
     def __init__(self, looked: Looked, prior: Floats, numbers: Floats, seed: Any):
         self.looked, self.prior = looked, prior
