@@ -449,21 +449,32 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, sea
     # the same place, described as a passage beside an earlier pillar, or as of its own
     if n == 0:
         return count, -1, 0.0
-    area, width = prior[SIZE] * prior[SIZE + 1], prior[GAPS + 1] - prior[GAPS]
-    odds = prior[SHARE] * area / ((1.0 - prior[SHARE]) * 2 * math.pi * width)
+    least, most = prior[GAPS], prior[GAPS + 1]
+    possible, other, reach, gap = 0, -1, 0.0, 0.0
+    for m in range(n):
+        x, y = forms[n, AT_X] - forms[m, AT_X], forms[n, AT_Y] - forms[m, AT_Y]
+        off = math.sqrt(x * x + y * y)
+        between = off - forms[n, HULL] - forms[m, HULL]
+        if least <= between <= most:
+            possible += 1
+            if rng.random() * possible < 1.0:
+                other, reach, gap = m, off, between
     if row[PASSAGE] > 0.0:
-        other = forms[int(row[PARENT])]
-        x, y = forms[n, AT_X], forms[n, AT_Y]
-        reach = forms[n, HULL] + other[HULL] + row[GAP]
+        other = int(row[PARENT])
+        reach = forms[n, HULL] + forms[other, HULL] + row[GAP]
+    if possible == 0:
+        return count, -1, 0.0
+    # the prior chooses one of all earlier pillars, and the proposal one of those that it may be
+    area = prior[SIZE] * prior[SIZE + 1]
+    odds = prior[SHARE] * area / ((1.0 - prior[SHARE]) * 2 * math.pi * (most - least) * reach)
+    ratio = math.log(odds * possible / n)
+    x, y = forms[n, AT_X], forms[n, AT_Y]
+    if row[PASSAGE] > 0.0:
         row[X], row[Y], row[PASSAGE] = x, y, 0.0
-        return count, n if within(row, prior) else -1, -math.log(odds / reach)
-    m = rng.integers(0, n)
-    x, y = row[X] - forms[m, AT_X], row[Y] - forms[m, AT_Y]
-    reach = math.sqrt(x * x + y * y)
-    row[GAP] = reach - forms[n, HULL] - forms[m, HULL]
-    row[PASSAGE], row[PARENT] = 1.0, float(m)
-    row[ANGLE] = math.atan2(y, x) % (2 * math.pi)
-    return count, n if within(row, prior) else -1, math.log(odds / reach)
+        return count, n if within(row, prior) else -1, -ratio
+    row[GAP], row[PASSAGE], row[PARENT] = gap, 1.0, float(other)
+    row[ANGLE] = math.atan2(y - forms[other, AT_Y], x - forms[other, AT_X]) % (2 * math.pi)
+    return count, n, ratio
 
 
 @kernel
