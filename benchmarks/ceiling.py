@@ -67,7 +67,7 @@ class Options(scoring.Options):
     """goals of each map, whose straight line is blocked"""
     network: tuple[str, ...] = ("anywhere", "columns")
     worlds: int = 512
-    """kept of each chain"""
+    """kept of each chain; the first quarter, which may still be like the truth, is not used"""
     steps: int = 2000
     """between two of them"""
     annealed: int = 12
@@ -160,10 +160,11 @@ def annealed(chain: Chain, number: int, given: Options) -> Chain:
 
 
 def sections_of(given: Options, number: int, kind: str = "truth") -> Mask:
-    """The kept worlds of a map, (worlds, X, Y)."""
+    """The worlds of a map that are used, (worlds, X, Y)."""
     with np.load(given.root / f"{kind}-{number:03}.npz") as kept:
         nx, ny, _ = RECIPE.grid.shape
-        return np.unpackbits(kept["sections"], axis=1).astype(bool).reshape(-1, nx, ny)
+        sections = np.unpackbits(kept["sections"], axis=1).astype(bool).reshape(-1, nx, ny)
+        return sections[len(sections) // 4 :]
 
 
 def unknown_in(sample: Sample) -> Mask:

@@ -625,7 +625,7 @@ class Chain:
         seed: Of its moves: what `numpy.random.default_rng` takes.
     """
 
-    chances = np.cumsum([0.35, 0.3, 0.1, 0.05, 0.05, 0.05, 0.1])
+    chances = np.cumsum([0.12, 0.28, 0.4, 0.03, 0.03, 0.06, 0.08])
 
     def __init__(self, looked: Looked, prior: Floats, numbers: Floats, seed: Any):
         self.looked, self.prior = looked, prior

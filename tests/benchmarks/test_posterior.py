@@ -11,9 +11,13 @@ from tests.command_line import ROOT
 
 pytestmark = pytest.mark.slow
 TOY = Pillar(
-    size_m=(6.0, 5.0, 10.0), density=(0.05, 0.15), half_width_m=(0.1, 1.0), passage_share=0.3
+    size_m=(6.0, 5.0, 10.0),
+    density=(0.1, 0.2),
+    half_width_m=(0.1, 1.0),
+    passage_share=0.3,
+    passage_m=(0.2, 3.0),
 )
-"""Two to four pillars."""
+"""Three to six pillars."""
 MIDDLE = Pose(np.array([3.0, 2.5, 4.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 GRID = GridSpec(shape=(4, 4, 2), voxel_m=1.5, truncation_m=3.0)
 ORIGIN = GRID.origin_at(MIDDLE.position)
@@ -84,6 +88,7 @@ def assert_no_more_than_chance(means, errors):
         (AROUND, BESIDE, [0.05, 0.45, 0.0, 0.0, 0.0, 0.3, 0.2], 150),
         (DOWN, ORIGIN, [0.05, 0.05, 0.0, 0.5, 0.4, 0.0, 0.0], 60),
         (DOWN, ORIGIN, [0.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.98], 60),
+        (DOWN, ORIGIN, [0.0, 0.0, 0.0, 0.2, 0.0, 0.8, 0.0], 100),
     ],
 )
 def test_worlds_of_the_prior_that_are_replaced_are_of_the_prior(
