@@ -387,7 +387,7 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, sea
             if row[PASSAGE] > 0.0:
                 row[ANGLE] = (row[ANGLE] + scale * rng.normal()) % (2 * math.pi)
         return count, n if within(row, prior) else -1, 0.0
-    if move == 2:  # reshape: another section, whose nearest point is as near to the sensor
+    if move == 2:  # reshape: another section or size, whose nearest point is as near to the sensor
         if row[PASSAGE] > 0.0:
             return count, -1, 0.0
         x, y = row[X] - position[0], row[Y] - position[1]
@@ -395,11 +395,20 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, sea
         near = apart(row, forms[n], position[0], position[1])
         steep = slope(row, forms[n], position[0], position[1])
         if rng.random() < 0.5:
-            row[SECTION] = rng.random()
-        row[HALF] = rng.uniform(prior[HALVES], prior[HALVES + 1])
-        row[RATIO] = rng.uniform(1.0, prior[MOST_RATIO])
-        if rng.random() < 0.5:
-            row[YAW] = rng.uniform(0.0, math.pi)
+            scale = 10.0 ** rng.uniform(-2.0, 0.0)
+            row[HALF] += 0.2 * scale * rng.normal()
+            row[RATIO] += scale * rng.normal()
+            if rng.random() < 0.5:
+                row[YAW] = (row[YAW] + scale * rng.normal()) % math.pi
+            if not within(row, prior):
+                return count, -1, 0.0
+        else:
+            if rng.random() < 0.5:
+                row[SECTION] = rng.random()
+            row[HALF] = rng.uniform(prior[HALVES], prior[HALVES + 1])
+            row[RATIO] = rng.uniform(1.0, prior[MOST_RATIO])
+            if rng.random() < 0.5:
+                row[YAW] = rng.uniform(0.0, math.pi)
         form(n, numbers, forms, prior)
         # moved along the line from the sensor until it is as near again, by Newton's method
         after, off, steeper = before, 1.0, 1.0
