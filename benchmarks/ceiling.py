@@ -51,8 +51,8 @@ COOLING = np.geomspace(0.005, 2.0, 40)
 NEARLY, TEPID = 25, 0.05
 """With at most so many wrong voxels a chain is annealed again, from this sharpness on."""
 ROUNDING = 60
-"""Voxels by which our rays may differ from the library's: a return on a voxel's face, or a ray that
-grazes a pillar here and crosses voxels behind it there."""
+"""Voxels by which our rays and solids may differ from the library's: a return on a voxel's face, a
+ray that grazes a pillar here and crosses voxels behind it there, a column that a pillar touches."""
 PROPOSERS, WORLDS = 16, 64
 """Worlds in which paths are planned, and in which they are tried."""
 BINS = np.linspace(0, 1, 21)
@@ -112,7 +112,7 @@ def true_chain(sample: Sample, number: int) -> Chain:
         numbers = numbers_of(KIND, UnitKey(SEED, "test", number).rng(WORLD, attempt))
         chain = Chain(looked, prior, numbers, number)
         if chain.wrong <= ROUNDING:
-            if not np.array_equal(chain.occupancy(), sample.occupancy):
+            if np.count_nonzero(chain.occupancy() != sample.occupancy) > ROUNDING:
                 raise RuntimeError(f"map {number}: the prior draws another world than the recipe")
             return Chain(replace(looked, state=chain.state()), prior, numbers, number)
     raise RuntimeError(f"map {number}: no draw of the prior is its world")
