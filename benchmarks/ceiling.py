@@ -68,13 +68,13 @@ class Options(scoring.Options):
     network: tuple[str, ...] = ("anywhere", "columns")
     worlds: int = 512
     """kept of each chain; the first quarter, which may still be like the truth, is not used"""
-    steps: int = 2000
+    steps: int = 10_000
     """between two of them"""
     annealed: int = 12
     """maps for which a second chain begins elsewhere"""
-    heating: int = 20_000
+    heating: int = 100_000
     """steps at each sharpness"""
-    attempts: int = 4
+    attempts: int = 8
     """annealed, at most, until one has the scan"""
     part: tuple[int, int] = (0, 1)
     """of so many parts, sample this one"""

@@ -185,14 +185,18 @@ def form(number, numbers, forms, prior):
 
 
 @kernel
+def misses(n, forms, position, dx, dy):
+    """Whether a ray passes beside the hull of pillar `n`, in the plan."""
+    px, py, hull = position[0] - forms[n, AT_X], position[1] - forms[n, AT_Y], forms[n, HULL]
+    across = px * dy - py * dx
+    return across * across > hull * hull * (dx * dx + dy * dy)
+
+
+@kernel
 def range_to(row, made, height, position, direction):
     """Where a ray meets a pillar, metres; inf where it misses."""
     px, py = position[0] - made[AT_X], position[1] - made[AT_Y]
     dx, dy = direction[0], direction[1]
-    # beside its hull, the ray misses it
-    across = px * dy - py * dx
-    if across * across > made[HULL] * made[HULL] * (dx * dx + dy * dy):
-        return math.inf
     pz, half = position[2] - height / 2, height / 2
     if made[SHAPE] == 0.0:
         return meet(CYLINDER, row[HALF], half, 0.0, px, py, pz, dx, dy, direction[2])
@@ -496,7 +500,10 @@ def begin(count, prior, world, seen):
     for cell in range(len(seen.state)):  # before the first ray, nothing is known
         wrong += changed(cell, world, seen)
     for ray in range(len(world.ranges)):
+        dx, dy, _ = seen.directions[ray]
         for k in range(count):
+            if misses(k, forms, seen.position, dx, dy):
+                continue
             t = range_to(numbers[k], forms[k], prior[HEIGHT], seen.position, seen.directions[ray])
             if t < world.ranges[ray] and t <= seen.range_m:
                 world.ranges[ray], world.owners[ray] = t, k
@@ -506,14 +513,14 @@ def begin(count, prior, world, seen):
 
 
 @kernel
-def recast(t, owner, direction, position, height, moved, close, nearby, after, numbers, forms):
-    """Where a ray ends once pillars have `moved`, and at which pillar."""
-    lost = owner >= 0 and (moved[owner] or owner >= after)
+def recast(t, owner, direction, position, height, lost, ones, count, numbers, forms):
+    """Where a ray ends, and at which pillar, once the first `count` of `ones` have moved; if it is
+    `lost`, these are all that it may reach."""
     if lost:
         t, owner = math.inf, -1
-    for n in range(nearby):
-        k = close[n]
-        if lost or moved[k]:
+    for n in range(count):
+        k = ones[n]
+        if not misses(k, forms, position, direction[0], direction[1]):
             met = range_to(numbers[k], forms[k], height, position, direction)
             if met < t:
                 t, owner = met, k
@@ -532,7 +539,8 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
     position, directions, range_m = seen.position, seen.directions, seen.range_m
     rays, most = len(ranges), len(numbers)
     old_numbers, old_forms = numbers.copy(), forms.copy()
-    moved, close = np.zeros(most, np.bool_), np.empty(most, np.int64)
+    moved = np.zeros(most, np.bool_)
+    close, movers = np.empty(most, np.int64), np.empty(most, np.int64)
     visible, visible_then = np.empty(most, np.int64), np.empty(most, np.int64)
     several = visible_ones(owners, most, visible)
     list_of, old_t = np.empty(rays, np.int64), np.empty(rays)
@@ -573,10 +581,24 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                         break
         if fits and is_seen:
             nearby = near_ones(after, forms, position, range_m, close)
+            moving = 0
+            for n in range(nearby):
+                if moved[close[n]]:
+                    movers[moving] = close[n]
+                    moving += 1
             for ray in range(rays):
+                t, owner = ranges[ray], owners[ray]
+                lost = owner >= 0 and (moved[owner] or owner >= after)
+                touched = lost
+                for n in range(moving):
+                    dx, dy = directions[ray, 0], directions[ray, 1]
+                    touched = touched or not misses(movers[n], forms, position, dx, dy)
+                if not touched:
+                    continue
+                ones, several_ones = (close, nearby) if lost else (movers, moving)
                 t, owner = recast(
-                    ranges[ray], owners[ray], directions[ray], position, prior[HEIGHT], moved,
-                    close, nearby, after, numbers, forms,
+                    t, owner, directions[ray], position, prior[HEIGHT], lost, ones, several_ones,
+                    numbers, forms,
                 )  # fmt: skip
                 if t > range_m:
                     t, owner = math.inf, -1
@@ -619,8 +641,11 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
             ray = list_of[n]
             turn(ray, old_crossed[n], old_end[n], world, seen)
             world.ranges[ray], world.owners[ray] = old_t[n], old_owner[n]
-        for k in range(max(count, after)):
-            numbers[k], forms[k] = old_numbers[k], old_forms[k]
+        for k in range(max(count, after)):  # number by number: a row's view takes as long
+            for j in range(NUMBERS):
+                numbers[k, j] = old_numbers[k, j]
+            for j in range(FORM):
+                forms[k, j] = old_forms[k, j]
     return count, wrong
 
 
