@@ -491,6 +491,19 @@ def try_move(move, count, numbers, prior, forms, position, visible, several, sea
 
 
 @kernel
+def recast(t, owner, direction, position, height, ones, count, numbers, forms):
+    """Where a ray ends, and at which pillar, that ended at `t` without the first `count` of
+    `ones`."""
+    for n in range(count):
+        k = ones[n]
+        if not misses(k, forms, position, direction[0], direction[1]):
+            met = range_to(numbers[k], forms[k], height, position, direction)
+            if met < t:
+                t, owner = met, k
+    return t, owner
+
+
+@kernel
 def begin(count, prior, world, seen):
     """Cast all rays in a world, in place; return the count of wrong voxels."""
     numbers, forms = world.numbers, world.forms
@@ -499,32 +512,17 @@ def begin(count, prior, world, seen):
     wrong = 0
     for cell in range(len(seen.state)):  # before the first ray, nothing is known
         wrong += changed(cell, world, seen)
+    every = np.arange(count)
     for ray in range(len(world.ranges)):
-        dx, dy, _ = seen.directions[ray]
-        for k in range(count):
-            if misses(k, forms, seen.position, dx, dy):
-                continue
-            t = range_to(numbers[k], forms[k], prior[HEIGHT], seen.position, seen.directions[ray])
-            if t < world.ranges[ray] and t <= seen.range_m:
-                world.ranges[ray], world.owners[ray] = t, k
+        t, owner = recast(
+            math.inf, -1, seen.directions[ray], seen.position, prior[HEIGHT], every, count, numbers,
+            forms,
+        )  # fmt: skip
+        if t <= seen.range_m:
+            world.ranges[ray], world.owners[ray] = t, owner
         to_crossed, to_end = end_of(ray, world.ranges[ray], seen)
         wrong += turn(ray, to_crossed, to_end, world, seen)
     return wrong
-
-
-@kernel
-def recast(t, owner, direction, position, height, lost, ones, count, numbers, forms):
-    """Where a ray ends, and at which pillar, once the first `count` of `ones` have moved; if it is
-    `lost`, these are all that it may reach."""
-    if lost:
-        t, owner = math.inf, -1
-    for n in range(count):
-        k = ones[n]
-        if not misses(k, forms, position, direction[0], direction[1]):
-            met = range_to(numbers[k], forms[k], height, position, direction)
-            if met < t:
-                t, owner = met, k
-    return t, owner
 
 
 @kernel
@@ -595,10 +593,12 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                     touched = touched or not misses(movers[n], forms, position, dx, dy)
                 if not touched:
                     continue
-                ones, several_ones = (close, nearby) if lost else (movers, moving)
+                ones, several_ones = movers, moving
+                if lost:
+                    t, owner, ones, several_ones = math.inf, -1, close, nearby
                 t, owner = recast(
-                    t, owner, directions[ray], position, prior[HEIGHT], lost, ones, several_ones,
-                    numbers, forms,
+                    t, owner, directions[ray], position, prior[HEIGHT], ones, several_ones, numbers,
+                    forms,
                 )  # fmt: skip
                 if t > range_m:
                     t, owner = math.inf, -1
@@ -609,11 +609,11 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                 if sharpness == math.inf and to_end >= 0 and seen.state[to_end] != 2:
                     fits = False
                     break
-                list_of[done], old_t[done] = ray, world.ranges[ray]
-                old_owner[done], old_end[done] = world.owners[ray], world.ends[ray]
+                list_of[done], old_t[done] = ray, ranges[ray]
+                old_owner[done], old_end[done] = owners[ray], world.ends[ray]
                 old_crossed[done] = world.crossed[ray]
                 done += 1
-                world.ranges[ray], world.owners[ray] = t, owner
+                ranges[ray], owners[ray] = t, owner
                 wanted += turn(ray, to_crossed, to_end, world, seen)
             if fits and wanted > wrong:
                 fits = sharpness < math.inf and threshold < -sharpness * (wanted - wrong)
@@ -621,9 +621,7 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                 then = visible_ones(owners, most, visible_then)
                 if move in (1, 2):
                     # on the way back, the pillar is chosen from those that are visible then
-                    possible = False
-                    for n in range(then):
-                        possible = possible or visible_then[n] == first
+                    possible = (visible_then[:then] == first).any()
                     fits = possible and rng.random() * then < several
         if fits:
             for k in range(first, max(count, after)):
@@ -640,7 +638,7 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
         for n in range(done):
             ray = list_of[n]
             turn(ray, old_crossed[n], old_end[n], world, seen)
-            world.ranges[ray], world.owners[ray] = old_t[n], old_owner[n]
+            ranges[ray], owners[ray] = old_t[n], old_owner[n]
         for k in range(max(count, after)):  # number by number: a row's view takes as long
             for j in range(NUMBERS):
                 numbers[k, j] = old_numbers[k, j]

@@ -7,8 +7,9 @@ the predicted occupancy, occupancy by a threshold on the distance.
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -261,7 +262,14 @@ class MapCompleter(Protocol):
 
 def extras_of(completer: Any) -> set[str]:
     """Return which of ``seen`` and ``rng`` the `complete` of a method takes."""
-    return {"seen", "rng"} & inspect.signature(completer.complete).parameters.keys()
+    method = completer.complete
+    return {"seen", "rng"} & _parameters(getattr(method, "__func__", method))
+
+
+@lru_cache(maxsize=64)
+def _parameters(function: Callable[..., Any]) -> frozenset[str]:
+    """The names of a function's parameters, which take a robot longer than a simple completion."""
+    return frozenset(inspect.signature(function).parameters)
 
 
 def complete_seen(
