@@ -58,14 +58,25 @@ class Options(scoring.Options):
 class Voxels(NamedTuple):
     """Voxels of one map that a head is asked about, or learns from."""
 
-    values: Any
-    """(voxels, inputs), float16: features of cells around, place in the cell, nearest return."""
+    cells: Any
+    """(channels, cells), float16: the network's features, with a rim of zeros."""
+    chosen: Any
+    """(voxels, 3): the voxels."""
+    place: Any
+    """(voxels, 8), float16: place in the cell, nearest return, height."""
     nearest: Any
     """(voxels,): class of the nearest observed voxel."""
     true: Any
     """(voxels,): class."""
     others: Any
     """(classes,): voxels of each class that are not among these."""
+
+    def values(self) -> Tensor:
+        """What a head is given, (voxels, inputs), float16: features of the cells around, and the
+        place."""
+        x, y, z = self.chosen.T // 2
+        near = [self.cells[:, x + i, y + j, z + k].T for i, j, k in product(range(3), repeat=3)]
+        return torch.cat([*near, self.place], dim=1)
 
 
 class Head(nn.Module):
@@ -144,7 +155,7 @@ def features(network: Any, grid: GridSpec, sample: Sample) -> tuple[Tensor, Any]
 def threshold(network: Any, grid: GridSpec, training: dict[str, Sequence[Sample]]) -> float:
     """The threshold of the best mean IoU on every tenth training map."""
     ious = []
-    for sample in [one for of in training.values() for one in list(of)[::10]]:
+    for sample in [of[n] for of in training.values() for n in range(0, len(of), 10)]:
         chance = features(network, grid, sample)[1]
         masks = [(chance > level) | sample.observed for level in LEVELS]
         ious.append([(m & sample.occupancy).sum() / (m | sample.occupancy).sum() for m in masks])
@@ -171,22 +182,19 @@ def asked(
     away, where = ndimage.distance_transform_edt(classes == 0, return_indices=True)
     there = tuple(chosen.T)
     nearest = where[(slice(None), *there)].T
-    around = pad(cells, (1, 1, 1, 1, 1, 1))
-    cell, corner = chosen // 2, chosen % 2
-    near = [
-        around[:, cell[:, 0] + x, cell[:, 1] + y, cell[:, 2] + z].T
-        for x, y, z in product(range(3), repeat=3)
-    ]
     metres = grid.voxel_m / NEAR_M
     height = chosen[:, 2:] * metres + (sample.origin[2] - sample.position[2]) / NEAR_M
-    place = [corner, (nearest - chosen) * metres, away[there][:, None] * metres, height]
-    values = torch.cat([*near, torch.as_tensor(np.concatenate(place, axis=1))], dim=1)
+    place = [chosen % 2, (nearest - chosen) * metres, away[there][:, None] * metres, height]
     count = np.bincount(true.reshape(-1), minlength=CLASSES)
     said = np.bincount(true[there], minlength=CLASSES)
     return Voxels(
-        values.half(), torch.as_tensor(classes[tuple(nearest.T)]), torch.as_tensor(true[there]),
-        count - said,
-    )  # fmt: skip
+        cells=pad(cells, (1, 1, 1, 1, 1, 1)).half(),
+        chosen=chosen,
+        place=torch.as_tensor(np.concatenate(place, axis=1)).half(),
+        nearest=torch.as_tensor(classes[tuple(nearest.T)]),
+        true=torch.as_tensor(true[there]),
+        others=count - said,
+    )
 
 
 def observed_classes(sample: Sample, grid: GridSpec) -> Any:
@@ -202,7 +210,8 @@ def observed_classes(sample: Sample, grid: GridSpec) -> Any:
 def trained(maps: Sequence[Voxels], seed: int, given: Options) -> Head:
     """A head that learned from these maps."""
     torch.manual_seed(seed)
-    values, nearest, true = (torch.cat([one[n] for one in maps]) for n in range(3))
+    values = torch.cat([one.values() for one in maps])
+    nearest, true = (torch.cat([one[n] for one in maps]) for n in (3, 4))
     head = Head(values.shape[1], given.width)
     optimiser = torch.optim.AdamW(head.parameters(), lr=2e-3)
     for epoch in range(given.epochs):
@@ -220,7 +229,7 @@ def trained(maps: Sequence[Voxels], seed: int, given: Options) -> Head:
 def guessed(head: Head, one: Voxels) -> Tensor:
     """The class of each voxel by a head, (voxels,)."""
     with torch.inference_mode():
-        return head(one.values.float(), one.nearest)[:, 1:].argmax(dim=1) + 1
+        return head(one.values().float(), one.nearest)[:, 1:].argmax(dim=1) + 1
 
 
 def confusion(one: Voxels, said: Tensor) -> Any:
