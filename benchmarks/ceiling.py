@@ -1,6 +1,7 @@
-"""What can be known from one scan of a `pillar` world: docs/results/ceiling.md.
+"""What can be known from one scan of a pillar world or a maze: docs/results/ceiling.md.
 
     python benchmarks/ceiling.py ROOT                 # samples worlds for every map, then scores
+    python benchmarks/ceiling.py MAZES --kind maze
     python benchmarks/ceiling.py ROOT --sample-only   # in the background; a stopped run goes on
 
 ROOT gets the maps, and a file for each with worlds that look the same through its scan. Several of
@@ -12,12 +13,14 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal
 
+import mazes
 import measuring
 import numpy as np
+import posterior
 import scoring
-from posterior import MOVES, Chain, Looked, numbers_of, prior_of
+from posterior import Looked
 from scoring import drawn, publish, titled, told
 from tyro.conf import Positional
 
@@ -39,20 +42,24 @@ from scenegen.model.bench.trials import (
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import PlanConfig
 from scenegen.truth import distance_field
-from scenegen.worlds.kinds.pillar import Pillar
 
 SEED = 72
-RECIPE = replace(preset("pillar"), flight=replace(preset("pillar").flight, viewpoints=1))
-KIND = cast(Pillar, RECIPE.world)
+SAMPLERS: dict[str, Any] = {"pillar": posterior, "maze": mazes}
+RECIPES = {
+    kind: replace(preset(kind), flight=replace(preset(kind).flight, viewpoints=1))
+    for kind in SAMPLERS
+}
+GRID = RECIPES["pillar"].grid
 METHODS = ("extrude",)
 CAREFUL, EDGES = PlanConfig(planner="careful"), PlanConfig(edge_check=True)
 COOLING = np.geomspace(0.005, 2.0, 40)
 """Sharpness of the likelihood while a chain is annealed, one after the other."""
 NEARLY, TEPID = 25, 0.05
 """With at most so many wrong voxels a chain is annealed again, from this sharpness on."""
-ROUNDING = 60
-"""Voxels by which our rays and solids may differ from the library's: a return on a voxel's face, a
-ray that grazes a pillar here and crosses voxels behind it there, a column that a pillar touches."""
+ROUNDING, TOUCHED = 60, 3000
+"""Voxels by which our rays and solids may differ from the library's, whose documents have six
+digits: a return on a voxel's face, a ray that grazes a pillar here and crosses voxels behind it
+there; a layer of voxels that a wall touches."""
 PROPOSERS, WORLDS = 16, 64
 """Worlds in which paths are planned, and in which they are tried."""
 BINS = np.linspace(0, 1, 21)
@@ -62,6 +69,7 @@ class Options(scoring.Options):
     """How many maps and worlds."""
 
     root: Positional[Path] = Path("ceiling")
+    kind: Literal["pillar", "maze"] = "pillar"
     maps: int = 60
     trials: int = 16
     """goals of each map, whose straight line is blocked"""
@@ -87,7 +95,9 @@ def main() -> None:
         Options, maps=2, trials=1, network=("columns",), worlds=4, steps=50, annealed=1, heating=5
     )
     data = given.root / "data"
-    dataset = Dataset(data) if data.exists() else drawn(data, RECIPE, given.maps, seed=SEED)
+    dataset = (
+        Dataset(data) if data.exists() else drawn(data, RECIPES[given.kind], given.maps, seed=SEED)
+    )
     split = dataset.split("test")
     for number in range(given.part[0], given.maps, given.part[1]):
         for kind in ("truth", "elsewhere")[: 2 if number < given.annealed else 1]:
@@ -104,17 +114,19 @@ def main() -> None:
         publish(given, [*mixing(split, given), *scores(split, given)])
 
 
-def true_chain(sample: Sample, number: int) -> Chain:
+def true_chain(sample: Sample, number: int, kind: str) -> Any:
     """A chain that begins with a sample's own world; what it sees is what our rays see."""
-    prior = prior_of(KIND, RECIPE.flight.robot_radius_m)
+    recipe, sampler = RECIPES[kind], SAMPLERS[kind]
+    prior = sampler.prior_of(recipe.world, recipe.flight.robot_radius_m)
     looked = looked_of(sample)
-    for attempt in range(RECIPE.accept.max_draws):
-        numbers = numbers_of(KIND, UnitKey(SEED, "test", number).rng(WORLD, attempt))
-        chain = Chain(looked, prior, numbers, number)
+    for attempt in range(recipe.accept.max_draws):
+        rng = UnitKey(SEED, "test", number).rng(WORLD, attempt)
+        numbers = sampler.numbers_of(recipe.world, rng)
+        chain = sampler.Chain(looked, prior, numbers, number)
         if chain.wrong <= ROUNDING:
-            if np.count_nonzero(chain.occupancy() != sample.occupancy) > ROUNDING:
+            if np.count_nonzero(chain.occupancy() != sample.occupancy) > TOUCHED:
                 raise RuntimeError(f"map {number}: the prior draws another world than the recipe")
-            return Chain(replace(looked, state=chain.state()), prior, numbers, number)
+            return sampler.Chain(replace(looked, state=chain.state()), prior, numbers, number)
     raise RuntimeError(f"map {number}: no draw of the prior is its world")
 
 
@@ -122,35 +134,41 @@ def looked_of(sample: Sample) -> Looked:
     """What the scan of a sample made known."""
     pose = Pose(sample.position, sample.quaternion)
     marked = sample.observed, sample.free
-    return Looked.of(pose, RECIPE.lidar, RECIPE.grid, sample.origin, *marked)
+    return Looked.of(pose, RECIPES["pillar"].lidar, GRID, sample.origin, *marked)
 
 
 def sampled(sample: Sample, number: int, begin: str, given: Options) -> dict[str, Any]:
-    """Worlds that look the same as a sample's. A world is kept as its section: all pillars are
-    equally high."""
-    chain = true_chain(sample, number)
+    """Worlds that look the same as a sample's. Of pillars, which are equally high, a section is
+    kept."""
+    chain = true_chain(sample, number, given.kind)
     if begin == "elsewhere":
         chain = annealed(chain, number, given)
-    sections, counts = [], []
+    worlds = []
     for _ in range(given.worlds):
         chain.walk(given.steps)
-        sections.append(np.packbits(chain.occupancy().any(axis=2)))
-        counts.append(chain.count)
-    moves = dict(zip(MOVES, chain.taken / np.maximum(chain.tried, 1), strict=True))
+        occupancy = chain.occupancy()
+        worlds.append(np.packbits(occupancy.any(axis=2) if is_flat(given) else occupancy))
+    names, tried = SAMPLERS[given.kind].MOVES, np.maximum(chain.tried, 1)
+    moves = {name: n / of for name, n, of in zip(names, chain.taken, tried, strict=True)}
     kept = {f"taken_{name}": share for name, share in moves.items()}
-    return kept | {"sections": sections, "counts": counts, "wrong": chain.wrong}
+    return kept | {"worlds": worlds, "wrong": chain.wrong}
 
 
-def annealed(chain: Chain, number: int, given: Options) -> Chain:
+def is_flat(given: Options) -> bool:
+    """Whether a world is kept as its section."""
+    return given.kind == "pillar"
+
+
+def annealed(chain: Any, number: int, given: Options) -> Any:
     """A chain for the same scan that began with other worlds of the recipe, which slowly became
     worlds with this scan; of several attempts the first that succeeds, or the nearest."""
-    chains: list[Chain] = []
+    sampler, kind, chains = SAMPLERS[given.kind], RECIPES[given.kind].world, list[Any]()
     for attempt in range(given.attempts):
-        seed = [SEED, number, attempt]
-        numbers, sharpnesses = numbers_of(KIND, np.random.default_rng(seed)), COOLING
+        seed, sharpnesses = [SEED, number, attempt], COOLING
+        numbers = sampler.anew(kind, chain.world()[0], np.random.default_rng(seed))
         if chains and chains[0].wrong <= NEARLY:
             (numbers, _), sharpnesses = chains[0].world(), COOLING[COOLING >= TEPID]
-        other = Chain(chain.looked, chain.prior, numbers, seed)
+        other = sampler.Chain(chain.looked, chain.prior, numbers, seed)
         for sharpness in (*sharpnesses, np.inf):
             other.walk(given.heating, sharpness)
         chains = sorted([*chains, other], key=lambda one: one.wrong)
@@ -159,12 +177,14 @@ def annealed(chain: Chain, number: int, given: Options) -> Chain:
     return chains[0]
 
 
-def sections_of(given: Options, number: int, kind: str = "truth") -> Mask:
-    """The worlds of a map that are used, (worlds, X, Y)."""
-    with np.load(given.root / f"{kind}-{number:03}.npz") as kept:
-        nx, ny, _ = RECIPE.grid.shape
-        sections = np.unpackbits(kept["sections"], axis=1).astype(bool).reshape(-1, nx, ny)
-        return sections[len(sections) // 4 :]
+def worlds_of(given: Options, number: int, sample: Sample, begin: str = "truth") -> Mask:
+    """The worlds of a map that are used, (worlds, *grid.shape)."""
+    with np.load(given.root / f"{begin}-{number:03}.npz") as kept:
+        bits = np.unpackbits(kept["worlds"], axis=1).astype(bool)
+    used = bits[len(bits) // 4 :]
+    if not is_flat(given):
+        return used.reshape(-1, *GRID.shape)
+    return used.reshape(-1, *GRID.shape[:2], 1) & solid_layers(sample.origin)
 
 
 def unknown_in(sample: Sample) -> Mask:
@@ -172,20 +192,16 @@ def unknown_in(sample: Sample) -> Mask:
     return np.asarray(~(sample.observed | sample.free))
 
 
-def section_of(sample: Sample) -> Mask:
-    """The section of a sample's pillars, (X, Y)."""
-    return np.asarray(sample.occupancy.any(axis=2))
-
-
 def solid_layers(origin: Floats) -> Mask:
     """The layers of the map in which pillars are, (Z,)."""
-    low = origin[2] + RECIPE.grid.voxel_m * np.arange(RECIPE.grid.shape[2])
-    return (low + RECIPE.grid.voxel_m > 0) & (low < KIND.height_m[0])
+    kind: Any = RECIPES["pillar"].world
+    low = origin[2] + GRID.voxel_m * np.arange(GRID.shape[2])
+    return np.asarray((low + GRID.voxel_m > 0) & (low < kind.height_m[0]))
 
 
-def hidden_cells(sections: Mask, unknown: Mask) -> Floats:
-    """Occupied cells of the section of which the scan knows nothing, (worlds,)."""
-    return (sections & unknown).sum(axis=(1, 2)).astype(float)
+def hidden(worlds: Mask, unknown: Mask) -> Floats:
+    """Occupied voxels of which the scan knows nothing, (worlds,)."""
+    return np.asarray((worlds & unknown).sum(axis=(1, 2, 3)), float)
 
 
 def mixing(split: Split, given: Options) -> list[str]:
@@ -193,53 +209,53 @@ def mixing(split: Split, given: Options) -> list[str]:
     ranks, correlations, slow, taken, agreement = [], [], [], [], []
     for number in range(given.maps):
         sample = split[number]
-        unknown = np.asarray(unknown_in(sample).all(axis=2))
-        sections = sections_of(given, number)
-        cells = hidden_cells(sections, unknown)
-        true = hidden_cells(section_of(sample)[None], unknown)[0]
+        unknown, worlds = unknown_in(sample), worlds_of(given, number, sample)
+        voxels = hidden(worlds, unknown)
+        true = hidden(sample.occupancy[None], unknown)[0]
         rng = np.random.default_rng(number)
-        ranks.append(rank_in(cells, true, rng))
-        correlations.append(autocorrelation(cells))
-        unsure = np.argwhere(abs(sections.mean(axis=0) - 0.5) < 0.4)
-        slow += [autocorrelation(sections[:, x, y].astype(float)) for x, y in unsure]
+        ranks.append(rank_in(voxels, true, rng))
+        correlations.append(autocorrelation(voxels))
+        unsure = np.argwhere(abs(worlds.mean(axis=0) - 0.5) < 0.4)
+        for x, y, z in rng.permutation(unsure)[:100]:
+            slow.append(autocorrelation(worlds[:, x, y, z].astype(float)))
         with np.load(given.root / f"truth-{number:03}.npz") as kept:
-            taken.append([float(kept[f"taken_{name}"]) for name in MOVES])
+            taken.append([float(kept[f"taken_{name}"]) for name in SAMPLERS[given.kind].MOVES])
         if number < given.annealed:
             with np.load(given.root / f"elsewhere-{number:03}.npz") as kept:
                 wrong = int(kept["wrong"])
-            other = sections_of(given, number, "elsewhere")
-            difference = np.abs(other.mean(axis=0) - sections.mean(axis=0))
-            cells_there = hidden_cells(other, unknown)
-            differences = difference.mean(), difference.max(), cells_there.mean() - cells.mean()
-            agreement.append([wrong, *differences, rank_in(cells_there, true, rng)])
+            other = worlds_of(given, number, sample, "elsewhere")
+            difference = np.abs(other.mean(axis=0) - worlds.mean(axis=0))[unknown]
+            there = hidden(other, unknown)
+            differences = difference.mean(), (difference > 0.1).mean(), there.mean() / voxels.mean()
+            agreement.append([number, wrong, *differences, rank_in(there, true, rng)])
     quarters = np.histogram(ranks, bins=4, range=(0, 1))[0]
     rows = [
         (f"accepted: {name}", [f"{share:.3f}"])
-        for name, share in zip(MOVES, np.mean(taken, axis=0), strict=True)
+        for name, share in zip(SAMPLERS[given.kind].MOVES, np.mean(taken, axis=0), strict=True)
     ]
     rows += [
         (
-            "autocorrelation time of hidden cells, worlds kept",
+            "autocorrelation time of hidden voxels, worlds kept",
             [told(correlations, range(len(ranks)), ".2f")],
         ),
         (
-            "autocorrelation time of a cell with a probability of .1 to .9: median, 90 %",
+            "autocorrelation time of a voxel with a probability of .1 to .9: median, 90 %",
             [" · ".join(f"{time:.1f}" for time in np.quantile(slow or [1.0], (0.5, 0.9)))],
         ),
-        ("rank of the truth's hidden cells, mean", [told(ranks, range(len(ranks)), ".3f")]),
+        ("rank of the truth's hidden voxels, mean", [told(ranks, range(len(ranks)), ".3f")]),
         ("ranks by quarter", [" · ".join(map(str, quarters))]),
     ]
-    lines = titled("## Mixing", ["value"], rows)
+    lines = titled(f"## {given.kind}: mixing", ["value"], rows)
     heads = (
-        *("wrong voxels", "mean difference", "greatest difference", "hidden cells, difference"),
-        "rank of the truth",
+        *("wrong voxels", "mean difference, unknown voxels", "share that differs by more than .1"),
+        *("hidden voxels, ratio", "rank of the truth"),
     )
-    forms = ".0f", ".4f", ".3f", "+.1f", ".3f"
+    forms = ".0f", ".4f", ".4f", ".3f", ".3f"
     rows = [
         (str(number), [format(value, form) for value, form in zip(row, forms, strict=True)])
-        for number, row in enumerate(agreement)
+        for number, *row in agreement
     ]
-    return lines + titled("## Chains that begin elsewhere", heads, rows)
+    return lines + titled(f"## {given.kind}: chains that begin elsewhere", heads, rows)
 
 
 def rank_in(values: Floats, value: float, rng: np.random.Generator) -> float:
@@ -260,23 +276,16 @@ def autocorrelation(values: Floats) -> float:
     return float(max(2 * pairs[:stop].sum() - 1, 1.0))
 
 
-def ceiling(sample: Sample, sections: Mask) -> Prediction:
+def ceiling(worlds: Mask) -> Prediction:
     """The best that can be said: the mean of sampled worlds, and of their distances."""
-    layers, n = solid_layers(sample.origin), len(sections)
-    chance = (sections.sum(axis=0) + 0.5) / (n + 1)
-    probability = np.where(layers, chance[..., None], 0.5 / (n + 1)).astype(np.float32)
-    fields = [distance_field(world(one, layers), RECIPE.grid) for one in some(sections)]
-    return Prediction(probability, np.mean(fields, axis=0, dtype=np.float32))
+    chance = (worlds.sum(axis=0) + 0.5) / (len(worlds) + 1)
+    fields = [distance_field(one, GRID) for one in some(worlds)]
+    return Prediction(chance.astype(np.float32), np.mean(fields, axis=0, dtype=np.float32))
 
 
-def some(sections: Mask) -> Mask:
+def some(worlds: Mask) -> Mask:
     """Of the worlds of a map, as many as are planned in, spread evenly."""
-    return sections[np.linspace(0, len(sections) - 1, min(WORLDS, len(sections))).astype(int)]
-
-
-def world(section: Mask, layers: Mask) -> Mask:
-    """The occupied voxels of a world, (*grid.shape)."""
-    return section[..., None] & layers
+    return worlds[np.linspace(0, len(worlds) - 1, min(WORLDS, len(worlds))).astype(int)]
 
 
 def scores(split: Split, given: Options) -> list[str]:
@@ -286,8 +295,9 @@ def scores(split: Split, given: Options) -> list[str]:
     levels = np.arange(1, 100) / 100
     ious, near, doubt, bins, plans = [], [], [], [], []
     for number in range(given.maps):
-        sample, sections = split[number], sections_of(given, number)
-        guesses = dict(zip(names, [ceiling(sample, sections)], strict=False))
+        sample = split[number]
+        worlds = worlds_of(given, number, sample)
+        guesses = dict(zip(names, [ceiling(worlds)], strict=False))
         guesses |= {one.name: one.completion(sample, split) for one in methods}
         unknown, true = unknown_in(sample), sample.occupancy
         ious.append([iou_by_level(level_of(one), true, levels) for one in guesses.values()])
@@ -295,15 +305,12 @@ def scores(split: Split, given: Options) -> list[str]:
             continue
         close = sample.tudf < 0.5
         near.append(
-            [
-                rmse(one.distance(None, RECIPE.grid)[close], sample.tudf[close])
-                for one in guesses.values()
-            ]
+            [rmse(one.distance(None, GRID)[close], sample.tudf[close]) for one in guesses.values()]
         )
         chances = [chance_of(one)[unknown] for one in guesses.values()]
         doubt.append([likelihood(one, true[unknown]) for one in chances])
         bins.append([binned(one, true[unknown]) for one in chances])
-        plans += planned(sample, number, sections, guesses, given)
+        plans += planned(sample, number, worlds, guesses, given)
     chosen = np.mean(ious[::2], axis=0).argmax(axis=1)
     reached = np.array([[of[n] for of, n in zip(one, chosen, strict=True)] for one in ious[1::2]])
     maps = range(len(reached))
@@ -318,16 +325,16 @@ def scores(split: Split, given: Options) -> list[str]:
         (what, [told(one - of.T[0], maps, "+.4f") for one in of.T]) for what, of in figures.items()
     ]
     return (
-        titled("## Completion", names, rows)
-        + titled("## Completion, less the ceiling", names, less)
-        + planning(plans)
+        titled(f"## {given.kind}: completion", names, rows)
+        + titled(f"## {given.kind}: completion, less the ceiling", names, less)
+        + planning(plans, given.kind)
     )
 
 
 def level_of(guess: Prediction) -> Any:
     """What thresholds are compared with."""
     level = guess.occupancy_probability
-    return 1 - guess.distance(None, RECIPE.grid) / 2 if level is None else level
+    return 1 - guess.distance(None, GRID) / 2 if level is None else level
 
 
 def chance_of(guess: Prediction) -> Any:
@@ -368,14 +375,14 @@ def error(sums: Floats) -> float:
 
 
 def planned(
-    sample: Sample, number: int, sections: Mask, guesses: dict[str, Prediction], given: Options
+    sample: Sample, number: int, worlds: Mask, guesses: dict[str, Prediction], given: Options
 ) -> list[tuple[int, dict[str, Measurement]]]:
     """Trials of a map whose straight line is blocked: what becomes of each planner's path."""
-    grid, truth = RECIPE.grid, (sample.occupancy, sample.tudf)
-    layers = solid_layers(sample.origin)
-    worlds = [world(one, layers) for one in some(sections)]
+    grid, truth = GRID, (sample.occupancy, sample.tudf)
+    worlds = some(worlds)
     fields = [distance_field(one, grid) for one in worlds[:PROPOSERS]]
-    box = np.array([[0, 0, 0], KIND.size_m]) - sample.origin
+    kind: Any = RECIPES[given.kind].world
+    box = np.array([[0, 0, 0], kind.size_m]) - sample.origin
     rng = np.random.default_rng([SEED, number])
     drawn_goals = draw_trials(sample.occupancy, grid, EDGES, count=400, rng=rng, bounds=box).goals
     goals = [one for one in drawn_goals if line_blocked(sample.occupancy, one, grid, EDGES)]
@@ -411,7 +418,7 @@ def planned(
     return found
 
 
-def planning(plans: list[tuple[int, dict[str, Measurement]]]) -> list[str]:
+def planning(plans: list[tuple[int, dict[str, Measurement]]], kind: str) -> list[str]:
     """Success and hits of each planner, and of `joint` less `marginal`; intervals over maps."""
     groups = [number for number, _ in plans]
     names = ["joint", "marginal", *(one for one in plans[0][1] if one not in ("joint", "marginal"))]
@@ -425,7 +432,8 @@ def planning(plans: list[tuple[int, dict[str, Measurement]]]) -> list[str]:
         (f"{what}, less marginal", [told(np.subtract(one, of[1]), groups, "+.3f") for one in of])
         for what, of in figures.items()
     ]
-    return titled(f"## Planning, {len(plans)} trials whose straight line is blocked", names, rows)
+    title = f"## {kind}: planning, {len(plans)} trials whose straight line is blocked"
+    return titled(title, names, rows)
 
 
 if __name__ == "__main__":

@@ -53,6 +53,16 @@ class Seen(NamedTuple):
     enters: Any
     starts: Any
 
+    @classmethod
+    def of(cls, looked: "Looked") -> "Seen":
+        """What a chain of these arrays needs to know of a scan."""
+        grid = looked.grid
+        return cls(
+            *(looked.position, looked.directions, looked.range_m),
+            *(looked.origin, grid.voxel_m, np.array(grid.shape)),
+            *(looked.state, *looked.paths),
+        )
+
 
 class State(NamedTuple):
     """A world and its scan; all arrays change in place."""
@@ -161,6 +171,11 @@ def numbers_of(kind: Pillar, rng: np.random.Generator) -> Floats:
             passage = rng.integers(0, n), rng.uniform(0.0, 2 * np.pi), rng.uniform(*kind.passage_m)
             drawn[n, [PASSAGE, PARENT, ANGLE, GAP]] = 1, *passage
     return drawn
+
+
+def anew(kind: Pillar, numbers: Floats, rng: np.random.Generator) -> Floats:
+    """The numbers of another world."""
+    return numbers_of(kind, rng)
 
 
 @kernel
@@ -676,12 +691,7 @@ class Chain:
             hits=np.zeros(voxels, np.int32),
         )
         self._world.numbers[: self.count] = numbers
-        grid = looked.grid
-        self._seen = Seen(
-            *(looked.position, looked.directions, looked.range_m),
-            *(looked.origin, grid.voxel_m, np.array(grid.shape)),
-            *(looked.state, *looked.paths),
-        )
+        self._seen = Seen.of(looked)
         self.tried, self.taken = np.zeros((2, len(MOVES)), np.int64)
         self.wrong = begin(self.count, prior, self._world, self._seen)
 
