@@ -56,7 +56,7 @@ class Layout(NamedTuple):
     second: Any
     """(walls,): number of the cell beyond."""
     near: Any
-    """Walls in the map."""
+    """Walls in the map; all where none is."""
     rays: Any
     """The rays that may meet each wall, where they enter its region, and where a wall's begin."""
     ray_enters: Any
@@ -161,7 +161,7 @@ def layout_of(looked: Looked, kind: Maze, cells: tuple[int, int, int]) -> Layout
         edges=edges,
         first=np.ravel_multi_index(tuple(cell.T), cells),
         second=np.ravel_multi_index(tuple(beyond.T), cells),
-        near=near,
+        near=near if len(near) else np.arange(len(walls)),
         rays=by_wall[1],
         ray_enters=enters.T[by_wall],
         ray_starts=np.searchsorted(by_wall[0], np.arange(len(walls) + 1)),
@@ -323,7 +323,7 @@ def walk(steps, rng, sharpness, shares, prior, wrong, plan, world, seen, tried, 
             world.half[0] += 10.0 ** rng.uniform(-4.0, -1.0) * rng.normal()
             fits = prior[HALVES] <= world.half[0] <= prior[HALVES + 1]
         if move in (3, 4):
-            start, stop = np.argmax(order == wall), rng.integers(0, walls)
+            start, stop = int(np.argmax(order == wall)), int(rng.integers(0, walls))
             if move == 3:
                 put(order, start, stop)
             else:
@@ -427,6 +427,11 @@ class Chain:
         world, there = self._world, np.arange(PIECES) < self._world.counts[:, None]
         numbers = Numbers(self._cells, world.order.copy(), world.chances.copy(), world.half.copy())
         return numbers, world.boxes[there]
+
+    def joined(self) -> Mask:
+        """Between which cells there is no closed wall, (walls,)."""
+        loops = self._world.chances[:, LOOP] < self.prior.values[LOOPS]
+        return np.asarray(self._world.tree | loops)
 
     def state(self) -> Any:
         """What the scan of the maze now makes known, as `Looked.state`, (voxels,)."""

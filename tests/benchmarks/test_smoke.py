@@ -13,7 +13,7 @@ from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = {"argoverse", "measuring", "places", "posterior", "scoring", "served"}
+SHARED = {"argoverse", "mazes", "measuring", "places", "posterior", "scoring", "served"}
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {}
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
