@@ -11,6 +11,7 @@ the figures are of those with odd numbers.
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,7 +26,7 @@ from scoring import drawn, publish, titled, told
 from tyro.conf import Positional
 
 from lidarsim import Pose
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Sample, preset
 from scenegen.dataset.read import Split
 from scenegen.draw.draw import WORLD, UnitKey
@@ -62,6 +63,8 @@ digits: a return on a voxel's face, a ray that grazes a pillar here and crosses 
 there; a layer of voxels that a wall touches."""
 PROPOSERS, WORLDS = 16, 64
 """Worlds in which paths are planned, and in which they are tried."""
+ALONE = np.linspace(0.05, 0.8, PROPOSERS)
+"""Thresholds of a probability at which paths are planned for a planner that knows nothing else."""
 BINS = np.linspace(0, 1, 21)
 
 
@@ -386,7 +389,18 @@ def planned(
     rng = np.random.default_rng([SEED, number])
     drawn_goals = draw_trials(sample.occupancy, grid, EDGES, count=400, rng=rng, bounds=box).goals
     goals = [one for one in drawn_goals if line_blocked(sample.occupancy, one, grid, EDGES)]
-    chance, found = level_of(guesses["ceiling"]).reshape(-1), []
+    chances = {
+        f"{name}, alone": np.asarray(chance_of(guesses[name]))
+        for name in ("ceiling", *given.network)
+    }
+    alone = {
+        name: (
+            one.reshape(-1),
+            [(one > level, distance_field(one > level, grid)) for level in ALONE],
+        )
+        for name, one in chances.items()
+    }
+    chance, found = alone["ceiling, alone"][0], []
     for goal in goals[: given.trials]:
         ended: dict[str, Measurement] = {}
         for name, guess in (
@@ -405,17 +419,28 @@ def planned(
             plan_trial(one, field, None, goal, grid, EDGES)
             for one, field in zip(worlds[:PROPOSERS], fields, strict=True)
         ]
-        found_ways = [(plan, path) for plan, path in ways if path is not None]
-        if found_ways:
-            voxels = [met(path, grid) for _, path in found_ways]
+        risks, paths = risked(ways, chance, grid)
+        if paths:
             blocked = [
-                np.mean([one.reshape(-1)[cells].any() for one in worlds]) for cells in voxels
+                np.mean([one.reshape(-1)[met(way[1], grid)].any() for one in worlds])
+                for way in paths
             ]
-            apart = [1 - np.prod(1 - chance[cells]) for cells in voxels]
-            ended["joint"] = judge(*found_ways[int(np.argmin(blocked))], *truth, grid)
-            ended["marginal"] = judge(*found_ways[int(np.argmin(apart))], *truth, grid)
+            ended["joint"] = judge(*paths[int(np.argmin(blocked))], *truth, grid)
+            ended["marginal"] = judge(*paths[int(np.argmin(risks))], *truth, grid)
+        for name, (its_chance, maps) in alone.items():
+            ways = [plan_trial(*one, None, goal, grid, EDGES) for one in maps]
+            risks, paths = risked(ways, its_chance, grid)
+            if paths:
+                ended[name] = judge(*paths[int(np.argmin(risks))], *truth, grid)
         found.append((number, ended))
     return found
+
+
+def risked(ways: Sequence[Any], chance: Floats, grid: GridSpec) -> tuple[list[float], list[Any]]:
+    """Of planned ways, those with a path, and each path's probability of a hit if voxels (voxels,)
+    were independent."""
+    paths = [way for way in ways if way[1] is not None]
+    return [float(1 - np.prod(1 - chance[met(path, grid)])) for _, path in paths], paths
 
 
 def planning(plans: list[tuple[int, dict[str, Measurement]]], kind: str) -> list[str]:
