@@ -68,6 +68,10 @@ ALONE = np.linspace(0.05, 0.8, PROPOSERS)
 BINS = np.linspace(0, 1, 21)
 
 
+Planned = tuple[int, dict[str, Measurement], dict[str, float]]
+"""The map, and by planner."""
+
+
 class Options(scoring.Options):
     """How many maps and worlds."""
 
@@ -379,8 +383,9 @@ def error(sums: Floats) -> float:
 
 def planned(
     sample: Sample, number: int, worlds: Mask, guesses: dict[str, Prediction], given: Options
-) -> list[tuple[int, dict[str, Measurement]]]:
-    """Trials of a map whose straight line is blocked: what becomes of each planner's path."""
+) -> list[Planned]:
+    """Trials of a map whose straight line is blocked: what becomes of each planner's path, and with
+    which probability it was expected to hit something."""
     grid, truth = GRID, (sample.occupancy, sample.tudf)
     worlds = some(worlds)
     fields = [distance_field(one, grid) for one in worlds[:PROPOSERS]]
@@ -403,6 +408,7 @@ def planned(
     chance, found = alone["ceiling, alone"][0], []
     for goal in goals[: given.trials]:
         ended: dict[str, Measurement] = {}
+        expected: dict[str, float] = {}
         for name, guess in (
             guesses | {"truth": Prediction(sample.occupancy * 1.0, sample.tudf)}
         ).items():
@@ -420,19 +426,17 @@ def planned(
             for one, field in zip(worlds[:PROPOSERS], fields, strict=True)
         ]
         risks, paths = risked(ways, chance, grid)
-        if paths:
-            blocked = [
-                np.mean([one.reshape(-1)[met(way[1], grid)].any() for one in worlds])
-                for way in paths
-            ]
-            ended["joint"] = judge(*paths[int(np.argmin(blocked))], *truth, grid)
-            ended["marginal"] = judge(*paths[int(np.argmin(risks))], *truth, grid)
+        cells = [met(path, grid) for _, path in paths]
+        blocked = [np.mean([one.reshape(-1)[of].any() for one in worlds]) for of in cells]
+        choices = {"joint": (blocked, paths), "marginal": (risks, paths)}
         for name, (its_chance, maps) in alone.items():
             ways = [plan_trial(*one, None, goal, grid, EDGES) for one in maps]
-            risks, paths = risked(ways, its_chance, grid)
+            choices[name] = risked(ways, its_chance, grid)
+        for name, (hits, paths) in choices.items():
             if paths:
-                ended[name] = judge(*paths[int(np.argmin(risks))], *truth, grid)
-        found.append((number, ended))
+                plan, path = paths[int(np.argmin(hits))]
+                ended[name], expected[name] = judge(plan, path, *truth, grid), float(min(hits))
+        found.append((number, ended, expected))
     return found
 
 
@@ -443,20 +447,25 @@ def risked(ways: Sequence[Any], chance: Floats, grid: GridSpec) -> tuple[list[fl
     return [float(1 - np.prod(1 - chance[met(path, grid)])) for _, path in paths], paths
 
 
-def planning(plans: list[tuple[int, dict[str, Measurement]]], kind: str) -> list[str]:
-    """Success and hits of each planner, and of `joint` less `marginal`; intervals over maps."""
-    groups = [number for number, _ in plans]
-    names = ["joint", "marginal", *(one for one in plans[0][1] if one not in ("joint", "marginal"))]
+def planning(plans: list[Planned], kind: str) -> list[str]:
+    """Success and hits of each planner, and differences of success; intervals over maps."""
+    groups = [number for number, _, _ in plans]
+    names = sorted({name for _, ended, _ in plans for name in ended})
     none = Measurement(success=False)
     figures = {
-        "success": [[float(one.get(name, none).success) for _, one in plans] for name in names],
-        "hits": [[float(bool(one.get(name, none).hits)) for _, one in plans] for name in names],
+        "success": [[float(one.get(name, none).success) for _, one, _ in plans] for name in names],
+        "hits": [[float(bool(one.get(name, none).hits)) for _, one, _ in plans] for name in names],
+        "hits, expected": [[one.get(name, np.nan) for _, _, one in plans] for name in names],
     }
-    rows = [(what, [told(one, groups, ".3f") for one in of]) for what, of in figures.items()]
-    rows += [
-        (f"{what}, less marginal", [told(np.subtract(one, of[1]), groups, "+.3f") for one in of])
+    rows = [
+        (what, [told(one, groups, ".3f") if np.isfinite(one).any() else "–" for one in of])
         for what, of in figures.items()
     ]
+    for base in ("marginal", "ceiling, alone"):
+        success = figures["success"]
+        against = success[names.index(base)]
+        less = [told(np.subtract(one, against), groups, "+.3f") for one in success]
+        rows.append((f"success, less {base}", less))
     title = f"## {kind}: planning, {len(plans)} trials whose straight line is blocked"
     return titled(title, names, rows)
 
