@@ -65,6 +65,8 @@ PROPOSERS, WORLDS = 16, 64
 """Worlds in which paths are planned, and in which they are tried."""
 ALONE = np.linspace(0.05, 0.8, PROPOSERS)
 """Thresholds of a probability at which paths are planned for a planner that knows nothing else."""
+WEIGHT = 5.0
+"""Of an occupied voxel when networks learn; their probabilities are higher by it."""
 BINS = np.linspace(0, 1, 21)
 
 
@@ -406,12 +408,13 @@ def planned(
         for name, one in chances.items()
     }
     chance, found = alone["ceiling, alone"][0], []
+    of_truth, best = Prediction(sample.occupancy * 1.0, sample.tudf), guesses["ceiling"]
+    odds = WEIGHT * chances["ceiling, alone"]
+    weighted = replace(best, occupancy_probability=odds / (1 + odds - odds / WEIGHT))
     for goal in goals[: given.trials]:
         ended: dict[str, Measurement] = {}
         expected: dict[str, float] = {}
-        for name, guess in (
-            guesses | {"truth": Prediction(sample.occupancy * 1.0, sample.tudf)}
-        ).items():
+        for name, guess in (guesses | {"ceiling, weighted": weighted, "truth": of_truth}).items():
             level = level_of(guess)
             occupied = level > CAREFUL.careful_probability
             risk = risk_of(guess, occupied, sample.observed | sample.free, CAREFUL)
@@ -427,8 +430,12 @@ def planned(
         ]
         risks, paths = risked(ways, chance, grid)
         cells = [met(path, grid) for _, path in paths]
-        blocked = [np.mean([one.reshape(-1)[of].any() for one in worlds]) for of in cells]
-        choices = {"joint": (blocked, paths), "marginal": (risks, paths)}
+        blocked = np.array([[one.reshape(-1)[of].any() for one in worlds] for of in cells])
+        choices = {"joint": (blocked.mean(axis=1), paths), "marginal": (risks, paths)}
+        at = tuple((np.asarray(goal) / grid.voxel_m).astype(int))
+        fits = np.array([not one[at] for one in worlds])
+        if fits.any():
+            choices["joint, the goal free"] = blocked[:, fits].mean(axis=1), paths
         for name, (its_chance, maps) in alone.items():
             ways = [plan_trial(*one, None, goal, grid, EDGES) for one in maps]
             choices[name] = risked(ways, its_chance, grid)
@@ -461,7 +468,7 @@ def planning(plans: list[Planned], kind: str) -> list[str]:
         (what, [told(one, groups, ".3f") if np.isfinite(one).any() else "–" for one in of])
         for what, of in figures.items()
     ]
-    for base in ("marginal", "ceiling, alone"):
+    for base in ("marginal", "ceiling, weighted"):
         success = figures["success"]
         against = success[names.index(base)]
         less = [told(np.subtract(one, against), groups, "+.3f") for one in success]
