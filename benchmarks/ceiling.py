@@ -468,7 +468,7 @@ def planning(plans: list[Planned], kind: str) -> list[str]:
         (what, [told(one, groups, ".3f") if np.isfinite(one).any() else "–" for one in of])
         for what, of in figures.items()
     ]
-    for base in ("marginal", "ceiling, weighted"):
+    for base in ("marginal", "ceiling, weighted", "ceiling, alone"):
         success = figures["success"]
         against = success[names.index(base)]
         less = [told(np.subtract(one, against), groups, "+.3f") for one in success]
