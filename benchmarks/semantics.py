@@ -1,4 +1,4 @@
-"""Does a network know the classes of what it completes? docs/results/semantics.md.
+"""Does a network know the classes of what it completes? docs/own-network.md#the-target.
 
     python benchmarks/semantics.py ROOT    # draws the maps, trains the heads, writes the table
 
