@@ -1,7 +1,8 @@
-"""What can be known from one scan of a pillar world or a maze: docs/results/ceiling.md.
+r"""What can be known from one scan of a pillar world or a maze: docs/results/ceiling.md.
 
-    python benchmarks/ceiling.py ROOT                 # samples worlds for every map, then scores
-    python benchmarks/ceiling.py MAZES --kind maze
+    python benchmarks/ceiling.py ROOT --annealed 5    # samples worlds for every map, then scores
+    python benchmarks/ceiling.py MAZES --kind maze --maps 120 --annealed 6 \
+        --steps 2000 --heating 20000
     python benchmarks/ceiling.py ROOT --sample-only   # in the background; a stopped run goes on
 
 ROOT gets the maps, and a file for each with worlds that look the same through its scan. Several of
@@ -62,7 +63,7 @@ ROUNDING, TOUCHED = 60, 3000
 digits: a return on a voxel's face, a ray that grazes a pillar here and crosses voxels behind it
 there; a layer of voxels that a wall touches."""
 PROPOSERS, WORLDS = 16, 64
-"""Worlds in which paths are planned, and in which they are tried."""
+"""Worlds in which paths are planned, and whose distances are averaged."""
 ALONE = np.linspace(0.05, 0.8, PROPOSERS)
 """Thresholds of a probability at which paths are planned for a planner that knows nothing else."""
 WEIGHT = 5.0
@@ -288,13 +289,13 @@ def autocorrelation(values: Floats) -> float:
 def ceiling(worlds: Mask) -> Prediction:
     """The best that can be said: the mean of sampled worlds, and of their distances."""
     chance = (worlds.sum(axis=0) + 0.5) / (len(worlds) + 1)
-    fields = [distance_field(one, GRID) for one in some(worlds)]
+    fields = [distance_field(one, GRID) for one in some(worlds, WORLDS)]
     return Prediction(chance.astype(np.float32), np.mean(fields, axis=0, dtype=np.float32))
 
 
-def some(worlds: Mask) -> Mask:
-    """Of the worlds of a map, as many as are planned in, spread evenly."""
-    return worlds[np.linspace(0, len(worlds) - 1, min(WORLDS, len(worlds))).astype(int)]
+def some(worlds: Mask, most: int) -> Mask:
+    """Of the worlds of a map, so many at most, spread evenly."""
+    return worlds[np.linspace(0, len(worlds) - 1, min(most, len(worlds))).astype(int)]
 
 
 def scores(split: Split, given: Options) -> list[str]:
@@ -389,17 +390,16 @@ def planned(
     """Trials of a map whose straight line is blocked: what becomes of each planner's path, and with
     which probability it was expected to hit something."""
     grid, truth = GRID, (sample.occupancy, sample.tudf)
-    worlds = some(worlds)
-    fields = [distance_field(one, grid) for one in worlds[:PROPOSERS]]
+    proposers = some(worlds, PROPOSERS)
+    fields = [distance_field(one, grid) for one in proposers]
     kind: Any = RECIPES[given.kind].world
     box = np.array([[0, 0, 0], kind.size_m]) - sample.origin
     rng = np.random.default_rng([SEED, number])
     drawn_goals = draw_trials(sample.occupancy, grid, EDGES, count=400, rng=rng, bounds=box).goals
     goals = [one for one in drawn_goals if line_blocked(sample.occupancy, one, grid, EDGES)]
-    chances = {
-        f"{name}, alone": np.asarray(chance_of(guesses[name]))
-        for name in ("ceiling", *given.network)
-    }
+    flat = worlds.reshape(len(worlds), -1)
+    chances = {"ceiling, alone": worlds.mean(axis=0, dtype=np.float32)}
+    chances |= {f"{name}, alone": np.asarray(chance_of(guesses[name])) for name in given.network}
     alone = {
         name: (
             one.reshape(-1),
@@ -426,23 +426,28 @@ def planned(
                 ways = [planned_path]
         ways += [
             plan_trial(one, field, None, goal, grid, EDGES)
-            for one, field in zip(worlds[:PROPOSERS], fields, strict=True)
+            for one, field in zip(proposers, fields, strict=True)
         ]
         risks, paths = risked(ways, chance, grid)
         cells = [met(path, grid) for _, path in paths]
-        blocked = np.array([[one.reshape(-1)[of].any() for one in worlds] for of in cells])
-        choices = {"joint": (blocked.mean(axis=1), paths), "marginal": (risks, paths)}
-        at = tuple((np.asarray(goal) / grid.voxel_m).astype(int))
-        fits = np.array([not one[at] for one in worlds])
-        if fits.any():
-            choices["joint, the goal free"] = blocked[:, fits].mean(axis=1), paths
+        # the goal is known to be free: trials are drawn so
+        at = np.ravel_multi_index(tuple((np.asarray(goal) / grid.voxel_m).astype(int)), grid.shape)
+        fits = ~flat[:, at] if not flat[:, at].all() else np.ones(len(flat), bool)
+        blocked = np.array([flat[:, of].any(axis=1)[fits].mean() for of in cells])
+        choices: dict[str, Any] = {
+            "joint": (blocked, risks, paths),
+            "marginal": (risks, risks, paths),
+        }
         for name, (its_chance, maps) in alone.items():
             ways = [plan_trial(*one, None, goal, grid, EDGES) for one in maps]
-            choices[name] = risked(ways, its_chance, grid)
-        for name, (hits, paths) in choices.items():
-            if paths:
-                plan, path = paths[int(np.argmin(hits))]
-                ended[name], expected[name] = judge(plan, path, *truth, grid), float(min(hits))
+            its_risks, its_paths = risked(ways, its_chance, grid)
+            choices[name] = its_risks, its_risks, its_paths
+        for name, (hits, ties, ways_there) in choices.items():
+            if ways_there:
+                first = int(np.lexsort((ties, hits))[0])
+                plan, path = ways_there[first]
+                ended[name] = judge(plan, path, *truth, grid)
+                expected[name] = float(hits[first])
         found.append((number, ended, expected))
     return found
 

@@ -98,6 +98,8 @@ class Prior(NamedTuple):
 
 def prior_of(kind: Maze, clear_m: float) -> Prior:
     """A recipe's mazes of which no wall is nearer to the sensor than `clear_m`, metres."""
+    if not kind.ground:
+        raise ValueError("ground: mazes without a floor are not supported")
     shares = kind.open_share, kind.slit_share, kind.loop_share, kind.shelf_share
     return Prior(kind, np.array([*kind.window_m, *shares, *np.array(kind.wall_m) / 2, clear_m]))
 
