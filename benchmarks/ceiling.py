@@ -397,9 +397,10 @@ def planned(
     rng = np.random.default_rng([SEED, number])
     drawn_goals = draw_trials(sample.occupancy, grid, EDGES, count=400, rng=rng, bounds=box).goals
     goals = [one for one in drawn_goals if line_blocked(sample.occupancy, one, grid, EDGES)]
-    flat = worlds.reshape(len(worlds), -1)
+    flat: Any = worlds.reshape(len(worlds), -1)
     chances = {"ceiling, alone": worlds.mean(axis=0, dtype=np.float32)}
-    chances |= {f"{name}, alone": np.asarray(chance_of(guesses[name])) for name in given.network}
+    learned = [name for name in guesses if name not in ("ceiling", *METHODS)]
+    chances |= {f"{name}, alone": np.asarray(chance_of(guesses[name])) for name in learned}
     alone = {
         name: (
             one.reshape(-1),
@@ -432,7 +433,8 @@ def planned(
         cells = [met(path, grid) for _, path in paths]
         # the goal is known to be free: trials are drawn so
         at = np.ravel_multi_index(tuple((np.asarray(goal) / grid.voxel_m).astype(int)), grid.shape)
-        fits = ~flat[:, at] if not flat[:, at].all() else np.ones(len(flat), bool)
+        taken = flat[:, at]
+        fits = ~taken | taken.all()
         blocked = np.array([flat[:, of].any(axis=1)[fits].mean() for of in cells])
         choices: dict[str, Any] = {
             "joint": (blocked, risks, paths),
