@@ -553,7 +553,7 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
     rays, most = len(ranges), len(numbers)
     old_numbers, old_forms = numbers.copy(), forms.copy()
     moved = np.zeros(most, np.bool_)
-    close, movers = np.empty(most, np.int64), np.empty(most, np.int64)
+    close, moving_ones = np.empty(most, np.int64), np.empty(most, np.int64)
     visible, visible_then = np.empty(most, np.int64), np.empty(most, np.int64)
     several = visible_ones(owners, most, visible)
     list_of, old_t = np.empty(rays, np.int64), np.empty(rays)
@@ -597,7 +597,7 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
             moving = 0
             for n in range(nearby):
                 if moved[close[n]]:
-                    movers[moving] = close[n]
+                    moving_ones[moving] = close[n]
                     moving += 1
             for ray in range(rays):
                 t, owner = ranges[ray], owners[ray]
@@ -605,10 +605,10 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
                 touched = lost
                 for n in range(moving):
                     dx, dy = directions[ray, 0], directions[ray, 1]
-                    touched = touched or not misses(movers[n], forms, position, dx, dy)
+                    touched = touched or not misses(moving_ones[n], forms, position, dx, dy)
                 if not touched:
                     continue
-                ones, several_ones = movers, moving
+                ones, several_ones = moving_ones, moving
                 if lost:
                     t, owner, ones, several_ones = math.inf, -1, close, nearby
                 t, owner = recast(
@@ -654,7 +654,7 @@ def walk(steps, rng, sharpness, chances, prior, count, wrong, world, seen, tried
             ray = list_of[n]
             turn(ray, old_crossed[n], old_end[n], world, seen)
             ranges[ray], owners[ray] = old_t[n], old_owner[n]
-        for k in range(max(count, after)):  # number by number: a row's view takes as long
+        for k in range(max(count, after)):  # not row by row: a view costs more than its numbers
             for j in range(NUMBERS):
                 numbers[k, j] = old_numbers[k, j]
             for j in range(FORM):
