@@ -51,13 +51,13 @@ def draw_curves() -> None:
     axes = figure.subplots()
     axes.set(xlabel="mean time of successful flights, s", ylabel="success", xscale="log")
     axes.grid(alpha=0.3)
+    there = [title for title in fly.SPEEDS_MPS if {*fly.FIVE} <= runs.get(title, {}).keys()]
     for name in fly.FIVE:
-        flights = [
-            fly.some(runs[title][name]) for title in fly.SPEEDS_MPS if name in runs.get(title, {})
-        ]
+        flights = [fly.some(runs[title][name]) for title in there]
         times = [one["time_s"][one["success"] > 0].mean() for one in flights]
         axes.plot(times, [one["success"].mean() for one in flights], ".-", label=name)
-    axes.legend(fontsize="small", title="left to right: 8, 6, 4, 2, 1 m/s")
+    speeds = ", ".join(f"{fly.SPEEDS_MPS[title]:g}" for title in reversed(there))
+    axes.legend(fontsize="small", title=f"left to right: {speeds} m/s")
     figure.savefig(PICTURES / "curves.png", dpi=110)
 
 
