@@ -49,7 +49,7 @@ def draw_curves() -> None:
         return  # one speed makes no curve
     figure = Figure(figsize=(6.4, 4), layout="constrained")
     axes = figure.subplots()
-    axes.set(xlabel="mean time of successful flights, s", ylabel="success", xscale="log")
+    axes.set(xlabel="mean time of successful flights, s", ylabel="success")
     axes.grid(alpha=0.3)
     there = [title for title in fly.SPEEDS_MPS if {*fly.FIVE} <= runs.get(title, {}).keys()]
     for name in fly.FIVE:
