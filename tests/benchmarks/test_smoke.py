@@ -21,7 +21,7 @@ for _command, _figure in rows(Path(__file__).with_name("figures.txt").read_text(
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
     *("elsewhere", "generalisation", "inference", "networks"),
-    *("anywhere", "ceiling", "peers", "real", "semantics", "training"),
+    *("anywhere", "ceiling", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
