@@ -115,7 +115,6 @@ METHODS = Registry(
         "seen": "scenegen.model.bench.visibility:Seen",
         "moved": "scenegen.model.bench.moving:MOVED",
         "flow": "scenegen.model.bench.moving:FLOW",
-        "tracked": "scenegen.model.bench.moving:TRACKED",
     },
 )
 """Classes of completers and of the bench's rows, made without arguments; a user's own completer as

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from lidarsim.grid import Field, Floats, Ints, Mask
@@ -14,7 +16,6 @@ from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.draw.movers import mover_voxels
 from scenegen.fly.simulation import Observation
-from scenegen.model.bench.moving import FASTEST_MPS, linked
 from scenegen.model.completion.protocol import Returns
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.worlds.clearance import MoversClearance
@@ -31,6 +32,10 @@ EMPTY_ODDS = -0.8
 """Log odds, two rays without a return, from which on a voxel counts as empty."""
 DECAY_S = 10.0
 """A voxel that has had no return for so long is forgotten, seconds."""
+LINK_M = 0.6
+"""Points at most this far apart are of one mover, metres."""
+FASTEST_MPS = 8.0
+"""The greatest speed of a mover, metres a second."""
 GATE_M = 1.0
 """A mover is at most this far from where it was expected, metres."""
 FIT_S, KEPT_S = 0.6, 1.0
@@ -235,7 +240,7 @@ class TrackingRobot(AvoidingRobot):
             track.middles[-1] + (self._time_s - track.times_s[-1]) * track.velocity()
             for track in self._tracks
         ]
-        for group in linked(points, cell_m=self.grid.voxel_m):
+        for group in _linked(points, self.grid.voxel_m):
             apart = np.array(expected).reshape(-1, 3) - group.mean(axis=0)
             away = np.linalg.norm(apart, axis=1)
             nearest = int(away.argmin()) if len(away) else -1
@@ -249,6 +254,17 @@ class TrackingRobot(AvoidingRobot):
         self._tracks = [
             track for track in self._tracks if self._time_s - track.times_s[-1] <= KEPT_S
         ]
+
+
+def _linked(points: Floats, cell_m: float) -> list[Floats]:
+    """Divide points (n, 3) into groups (m, 3): those at most `LINK_M` apart are of one. Points are
+    linked by the corners of the cells that hold them: all pairs of many would fill memory."""
+    if not len(points):
+        return []
+    cells, of_cell = np.unique(np.floor(points / cell_m), axis=0, return_inverse=True)
+    tree = KDTree(cells * cell_m)
+    count, member = connected_components(tree.sparse_distance_matrix(tree, LINK_M))
+    return [points[member[of_cell] == n] for n in range(count)]
 
 
 def _inner(mask: Mask) -> Mask:

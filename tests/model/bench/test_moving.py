@@ -6,14 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 import scenegen
-from lidarsim import GridSpec, Lidar, Pose, Scan
+from lidarsim import GridSpec
 from scenegen import Completer, Prediction
 from scenegen.model.bench.methods import find_method
 from scenegen.model.bench.metrics import ScoredMap, metrics_of
-from scenegen.model.bench.moving import tracks
 from scenegen.model.config import Thresholds
 from scenegen.model.targets import targets_of
 from scenegen.worlds.traffic import Traffic
@@ -80,38 +79,6 @@ def test_later_metrics_by_hand(now, later, expected):
     assert [metrics[name].of(case_of(now, later)) for name in names] == expected
 
 
-LIDAR = Lidar(rows=13, columns=72, max_range_m=12.0)
-
-
-def scan_of(first, range_m):
-    """Walls 9 m away, and a thing before them that is three rays wide and high."""
-    ranges = np.full(LIDAR.shape, 9.0, np.float32)
-    ranges[5:8, first : first + 3] = range_m
-    return Scan(ranges, Pose(np.zeros(3), np.array([1.0, 0, 0, 0])), LIDAR)
-
-
-def thing(scan):
-    return scan.points()[scan.ranges.reshape(-1) < 8]
-
-
-def test_two_scans_give_a_movers_velocity():
-    now, before = scan_of(30, 4.0), scan_of(38, 4.4)
-    sample = SimpleNamespace(scans=lambda: [now, before], scan_times=np.array([3.0, 2.5]))
-    ((came, velocity, left),) = tracks(sample)
-    assert_array_equal(came, thing(now))
-    assert_array_equal(left, thing(before))
-    assert_allclose(velocity, 2 * (thing(now).mean(axis=0) - thing(before).mean(axis=0)))
-
-
-@pytest.mark.parametrize("before", ["30 4.0 2.5", "38 4.4 3.0", "66 4.4 2.5"])
-def test_nothing_is_tracked(before):
-    """What is still; of one time; too fast."""
-    first, range_m, time_s = map(float, before.split())
-    scans = [scan_of(30, 4.0), scan_of(int(first), range_m)]
-    sample = SimpleNamespace(scans=lambda: scans, scan_times=np.array([3.0, time_s]))
-    assert tracks(sample) == []
-
-
 def test_flow_carries_voxels_along():
     sample = SimpleNamespace(
         grid=GRID,
@@ -128,7 +95,7 @@ def test_flow_carries_voxels_along():
 
 
 def test_a_report_has_horizons_that_are_stored(moving, tmp_path):
-    names = ("truth", "moved", "flow", "tracked")
+    names = ("truth", "moved", "flow")
     rows = report_of(moving, tmp_path, names=names)["reconstruction"]["pillar"]
     figures = sorted(name for name in rows["truth"] if "+" in name)
     ends = "0.5_iou", "0.5_moving_iou", "1_iou", "1_moving_iou"
@@ -142,7 +109,6 @@ def test_a_report_has_horizons_that_are_stored(moving, tmp_path):
     ("folder", "words"),
     [
         ("dataset", "--metric occupancy+1"),
-        ("dataset", "--method tracked"),
         ("dataset", "--method flow"),
         ("moving", "--metric occupancy+2"),  # beyond the courses
     ],
