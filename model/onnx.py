@@ -255,6 +255,8 @@ def _open(content: bytes, file: Examined, threads: int) -> Run:
         "PERFORMANCE_HINT": "LATENCY",
         "INFERENCE_PRECISION_HINT": "bf16" if prefers_bfloat16() else "f32",
         "INFERENCE_NUM_THREADS": threads,
+        # else every process that infers on one thread does so on the first core
+        "ENABLE_CPU_PINNING": False,
     }
     core = openvino.Core()
 
