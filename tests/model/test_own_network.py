@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
@@ -93,6 +94,16 @@ class Masked(Net):
     def __init__(self, config):
         super().__init__(config)
         self.register_buffer("mask", torch.ones(2, dtype=torch.bool))
+class Seeing(Net):
+    tasks = ("occupancy",)
+    def __init__(self, config):
+        super().__init__(config)
+        self.again = self.body[0]
+    def forward(self, batch):
+        return Output(super().forward(batch).logits, None)
+class Broken(Net):
+    def forward(self, batch):
+        raise KeyError("gone")
 class Twice(Net):
     def training_step(self, batch):
         passes = [self(batch).logits for _ in range(2)]
@@ -100,6 +111,10 @@ class Twice(Net):
         return {"occupied": (passes[0][batch["occupancy"]] - 3).square().mean(), "apart": apart}
 class Stuck(Net):
     def training_step(self, batch): return torch.zeros(())
+class Branching(Net):
+    def forward(self, batch):
+        logits, tudf, _ = super().forward(batch)
+        return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
 def plain(config): return 3
 def detached(output, batch): return output.logits.detach().mean()
 def vector(output, batch): return {"iou": output.logits.mean(), "b": 0.5}
@@ -119,6 +134,11 @@ def test_faults_of_own_code_are_refused(here, asked):
     assert not run.exists()
 
 
+def test_an_error_of_ones_own_network_names_its_line(here, capsys):
+    words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Broken"
+    refuses_command(capsys, words)
+
+
 def test_a_network_may_have_a_training_step_of_its_own(here):
     config = TrainConfig.of({"variant": "wrong:Twice", "width": 4, "epochs": 4, "lr": 0.01})
     first, *_, last = train([here / "data" / "pillar"], config, here / "run")
@@ -126,3 +146,13 @@ def test_a_network_may_have_a_training_step_of_its_own(here):
     assert last["train_apart"] == 0
     assert "val_occupied" not in last
     assert {"val_occupancy", "val_regression"} <= last.keys()
+
+
+@pytest.mark.slow
+def test_one_task_and_a_scalar_loss_will_do_and_are_exported(here, capsys):
+    words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
+    done(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)
+    done(capsys, "export wrong:Seeing@runs/Seeing")
+    assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
+    done(capsys, *words, "wrong:Branching")
+    refuses_command(capsys, "export wrong:Branching@runs/Branching")

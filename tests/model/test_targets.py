@@ -167,6 +167,7 @@ class Unweighted(Classes):
 class Mean(Classes):
     def loss(self, output, batch, objective): return output.float().mean()
 class Best(Mean): metrics = {"iou": lambda scored: 1.0}
+class Near(Mean): metrics = {"rmse": lambda scored: 1.0}
 class Numeric(Mean): metrics = {"one": 1.0}
 class Normal(Mean):
     def truth(self, sample, grid): return sample.return_normal[..., 0]

@@ -123,7 +123,8 @@ def test_maps_get_more_draws_by_default(tmp_path, more, draws):
     assert plan.manifest.tables.accept["max_draws"] == int(draws)
 
 
-def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
+def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("scenegen.model.bench.shown.draw_failures", lambda *given: [])
     out = tmp_path / "bench"
     words = f"bench {dataset} --quick --split train --workers 1 --method truth --method extrude"
     printed = done(capsys, f"{words} -o {out}")
