@@ -6,14 +6,18 @@ the same run.
 """
 
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import measuring
+import numpy as np
 import torch
 from measuring import Time
+from torch import Tensor
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
@@ -26,7 +30,9 @@ INPUTS = {"columns": ("observed", "free")}
 BURST = 4
 """Maps that a way completes in a row."""
 GRID = GridSpec()
-Way = Callable[[dict[str, torch.Tensor]], Any]
+ALONE_S = 5.0
+"""So long a process of its own completes maps, seconds."""
+Way = Callable[[dict[str, Tensor]], Any]
 """A network by some runtime: what it gives for maps by name."""
 
 
@@ -57,7 +63,9 @@ def main() -> None:
     print("milliseconds by the clock, ratio to eager, milliseconds of processor time")
     for variant in given.variant:
         inputs = INPUTS.get(variant, ("observed",))
-        ways = runners(Network(NetworkConfig(variant=variant, inputs=inputs)).eval(), given)
+        file = Path(tempfile.mkdtemp(), "net.onnx")
+        network = Network(NetworkConfig(variant=variant, inputs=inputs)).eval()
+        ways = runners(network, file, given)
         if not given.no_compile:
             ways["compiled"] = torch.compile(ways["eager"])
         found = measure(ways, inputs, given.rounds)
@@ -67,11 +75,13 @@ def main() -> None:
             for name, ms in found.items()
         )
         print(f"{variant:<9}:  {cells}", flush=True)
+        for runtime in given.runtime:
+            alone, beside = (together(file, runtime, inputs, count) for count in (1, 2))
+            print(f"  {runtime} by one thread {alone:.1f} ms, two processes {beside:.1f} ms")
 
 
-def runners(network: Network, options: Any) -> dict[str, Way]:
-    """Ways to run `network`, by name."""
-    file = Path(tempfile.mkdtemp(), "net.onnx")
+def runners(network: Network, file: Path, options: Any) -> dict[str, Way]:
+    """Ways to run `network`, by name; it is exported to `file`."""
     export_onnx(network, GRID, file, metadata={})
     placed(network, "cpu")
     ways: dict[str, Way] = {"eager": network}
@@ -85,10 +95,31 @@ def runners(network: Network, options: Any) -> dict[str, Way]:
 @torch.inference_mode()
 def measure(ways: dict[str, Way], inputs: tuple[str, ...], rounds: int) -> dict[str, Time]:
     """Medians of each for one map of the `inputs`."""
-    noise = torch.Generator().manual_seed(0)
-    maps = {name: (torch.rand(1, *GRID.shape, generator=noise) < 0.02).float() for name in inputs}
-    tasks = {name: partial(run, maps) for name, run in ways.items()}
+    tasks = {name: partial(run, random_maps(inputs)) for name, run in ways.items()}
     return measuring.in_turn(tasks, rounds, burst=BURST)
+
+
+def random_maps(inputs: tuple[str, ...]) -> dict[str, Tensor]:
+    """A map of random voxels for each of the `inputs`."""
+    noise = torch.Generator().manual_seed(0)
+    return {name: (torch.rand(1, *GRID.shape, generator=noise) < 0.02).float() for name in inputs}
+
+
+def together(file: Path, runtime: str, inputs: tuple[str, ...], processes: int) -> float:
+    """Milliseconds a map in processes that complete maps side by side, on one thread each."""
+    with get_context("spawn").Pool(processes) as pool:
+        # processes that start late are not alone: the last half of each is counted
+        return max(pool.starmap(alone, [(file, runtime, inputs)] * processes))
+
+
+def alone(file: Path, runtime: str, inputs: tuple[str, ...]) -> float:
+    """Milliseconds a map in this process."""
+    run, maps, took = load_onnx(file, runtime=runtime, threads=1)[0], random_maps(inputs), []
+    end = time.perf_counter() + ALONE_S
+    while (begin := time.perf_counter()) < end:
+        run(maps)
+        took.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(took[len(took) // 2 :]))
 
 
 if __name__ == "__main__":
