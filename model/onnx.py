@@ -255,8 +255,8 @@ def _open(content: bytes, file: Examined, threads: int) -> Run:
         "PERFORMANCE_HINT": "LATENCY",
         "INFERENCE_PRECISION_HINT": "bf16" if prefers_bfloat16() else "f32",
         "INFERENCE_NUM_THREADS": threads,
-        # else every process that infers on one thread does so on the first core
-        "ENABLE_CPU_PINNING": False,
+        # processes that infer on one thread each would all be pinned to the first core
+        "ENABLE_CPU_PINNING": threads != 1,
     }
     core = openvino.Core()
 
