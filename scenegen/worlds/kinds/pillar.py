@@ -90,10 +90,9 @@ class Pillar(WorldKind):
             for n in moved
         ]
         sine, cosine = sin_cos([angle for _, angle, _ in drawn])
+        # in rising order, so that an earlier pillar already stands where it stays
         for n, (neighbour, _, gap), *direction in zip(moved, drawn, cosine, sine, strict=True):
-            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(
-                direction
-            )  # which stays where it is
+            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(direction)
         quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
         shapes = np.where(round_, CYLINDER, BOX)
         sizes = np.stack([half, np.where(round_, height / 2, length), height / 2], axis=1)
