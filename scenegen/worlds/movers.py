@@ -551,7 +551,7 @@ def fault_of(movers: Movers) -> str:
     starts = movers.begin_s[movers.piece_start[:-1]]
     if not rising.all() or (math.isfinite(movers.period_s) and starts.any()):
         return "expected pieces that rise, from 0 on where they repeat"
-    # kernels look for the greatest speed at the ends of a piece, where only a parabola has it
+    # kernels look for the greatest speed at the ends of a piece: right up to the second degree
     if movers.course[:, :3, 3].any() or not (heading_lengths(movers) >= LEAST_HEADING).all():
         return f"expected places of second degree, and headings of a length of {LEAST_HEADING:g}"
     return ""

@@ -52,7 +52,7 @@ class Traffic(Checked):
     """Maximum mean rate of a turn, radians a second; in its middle, at most twice that."""
     sensor_mps: float = number(1.0, above=0, maximum=30)
     """Speed of the sensor, which times the viewpoints of a flight, metres a second."""
-    # sensors need times of their rays for this, and the paper's has none
+    # off: the paper's sensor casts all rays at once, so recipes with it would be refused
     firing_times: bool = False
     """Whether each ray meets movers where they are at its own time, not when the scan begins."""
     after_s: float = number(2.5, minimum=0, maximum=10)

@@ -57,7 +57,7 @@ class Clutter(Classed):
     """Share of solids at any attitude; the rest are upright."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw four times as many places as needed, and keep the likeliest by the noise.
+        """Draw four times as many places as needed, and choose among them by weights of the noise.
 
         Args:
             spec: The world to add to.

@@ -179,7 +179,7 @@ def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     Returns:
         Numbers of that shape.
     """
-    # not the generator's own numbers, whose tails take the C library's logarithm
+    # not the generator's own, whose bits depend on the C library's logarithm
     count = int(np.prod(shape))
     points, square = _disc((count + 1) // 2, rng=rng)
     return (

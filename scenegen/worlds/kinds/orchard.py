@@ -110,7 +110,7 @@ class Orchard(Classed):
 
     def _stretches(self, *, rng: Generator) -> list[tuple[float, float]]:
         """Divide the length of a row by passages."""
-        # begun before the world's edge, or else the passages of all rows would be in line
+        # begun before the world's edge: else the first passages of all rows would be nearly in line
         y, stretches = -rng.uniform(0.0, self.stretch_m[1]), []
         while y < self.size_m[1]:
             end = y + rng.uniform(*self.stretch_m)

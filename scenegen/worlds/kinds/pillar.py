@@ -67,6 +67,7 @@ class Pillar(WorldKind):
         """
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
+        # one at least: worlds without solids are refused, and pillars may have no floor
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
         section = rng.random(count)
         round_ = section < self.round_share

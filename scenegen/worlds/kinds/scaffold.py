@@ -144,7 +144,6 @@ class Scaffold(Classed):
             ends = ((x, c), (x, d)) if axis < 0.5 else ((a, y), (b, y))
             (u, v), (s, t) = ends
             if closed < self.closed_share:
-                # of closed sides, six in ten have nets, the others boards
                 of_class = "fence" if closed < 0.6 * self.closed_share else "goods"
                 thick = 0.01 if of_class == "fence" else 0.03
                 low, high = (u - thick, v - thick, z + 0.1), (s + thick, t + thick, z + LIFT_M)
