@@ -74,9 +74,8 @@ def explore(occupied, first, shape, step, start, goal, edge_check, risk, weight)
 
     Returns:
         Per node, in C order: the length of its shortest path, infinite for none; and the number of
-            the
-        node before it on that path, -1 for none. Then the number of the node that ends the path to
-        the goal, -1 for none.
+        the node before it on that path, -1 for none. Then the number of the node that ends the path
+        to the goal, -1 for none.
     """
     (x0, y0, z0), (na, nb, nc) = first, shape
     length = np.full(na * nb * nc, np.inf)

@@ -280,6 +280,7 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
         # the plane is the same; then heights of the plane's slab rise with `level`
         if nz < 0.0:
             nx, ny, nz = -nx, -ny, -nz
+        # as in `bounds`: no NaN where the plane is vertical
         length, pace = math.sqrt(nx * nx + ny * ny + nz * nz), 1.0 / max(nz, 1e-300)
         # half a voxel's extent along the normal
         reach = 0.5 * (abs(nx) + abs(ny) + nz) + slack * length

@@ -121,6 +121,7 @@ def touches(shape, size, axes, centre, half, slack):
         return _box_touches(size, axes, centre, half, slack)
     if shape == ELLIPSOID:
         return _ellipsoid_touches(size, axes, centre, half, slack)
+    # a plane: the cube's lowest corner decides
     return centre[2] - half * (abs(axes[0, 2]) + abs(axes[1, 2]) + abs(axes[2, 2])) <= slack
 
 
@@ -188,6 +189,7 @@ def _segment_to_cube2(axes, centre, reach, half):
     low, high = -reach, reach
     slope_low = _segment_slope(axes, centre, low, half)
     slope_high = _segment_slope(axes, centre, high, half)
+    # convex: where it already rises at the low end, that end is nearest, and so at the other
     if slope_low >= 0.0:
         high = low
     elif slope_high <= 0.0:
@@ -295,6 +297,7 @@ def _ellipsoid_touches(size, axes, centre, half, slack):
     if least2 <= 1.0:
         return True
     f = math.sqrt(least2)
+    # at a distance: how far in metres, not in the scaled space
     slope = (nearest[0] * a, nearest[1] * b, nearest[2] * c)
     # the gradient of f is slope / f
     return (f - 1.0) * f <= slack * math.sqrt(_square(slope))
@@ -365,6 +368,7 @@ def _face_cut_norm2(axes, centre, i, si, height, half):
     cz = face[2] - height
     u, v = axes[j, 2], axes[k, 2]
     norm2 = u * u + v * v
+    # level with the plane, a face has no cut: its edges are looked at by the caller
     if norm2 < 1e-24:
         return math.inf
     # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest

@@ -146,6 +146,7 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, limits):
             continue
         if d < 0.0:  # walked the other way, the edge is the same
             a, b, d, h = b, a, -d, -h
+        # an edge along q has an infinite pace; 1e300 spares the NaN of 0 times infinity
         length, pace = math.sqrt(d * d + h * h), 1.0 / max(d, 1e-300)
         reach, doubt = half * (d + abs(h)) + slack * length, spare * length + noise
         edge_0 = corners[a, q] * d - corners[a, p] * h

@@ -33,6 +33,7 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
     occupancy = np.zeros(grid.shape, bool)
     known = np.zeros(grid.shape, bool)
     first = (np.asarray(origin, float) - voxels.origin) / voxels.voxel_m
+    # `_resample` flattens rows, for which numba wants them without gaps in memory
     states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
     # in voxels of the map, as everything from here on
     slack = MIN_OVERLAP_M / voxels.voxel_m

@@ -36,6 +36,7 @@ class Labels:
     def __post_init__(self) -> None:
         if self.by not in get_args(By):
             raise ValueError(f"by = {self.by!r}: expected one of {', '.join(get_args(By))}")
+        # JSON gives a list, which has no hash
         object.__setattr__(self, "classes", tuple(self.classes))
         names = self.classes
         valid = all(isinstance(name, str) and name.isprintable() for name in names)

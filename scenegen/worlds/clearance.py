@@ -41,6 +41,7 @@ class Clearance:
         """
         low, high = bounds[0, :2], bounds[1, :2]
         extent = high - low
+        # a long box has one cell across, however narrow it is: its length alone must keep the limit
         cell_m = max(
             CELL_M, float(np.sqrt(extent.prod() / MAX_CELLS)), float(extent.max()) / MAX_CELLS
         )
@@ -49,12 +50,14 @@ class Clearance:
         # boxes grown by the cap: a cell lists every solid that is within it of one of its points
         lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
         upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
+        # so clipped, solids beside the box are in no cell, and those without bounds in all
         first = np.clip(np.floor((lower - low) / cell_m), 0, cells).astype(np.int64)
         last = np.clip(np.floor((upper - low) / cell_m), -1, cells - 1).astype(np.int64)
         start, item = _sorted_into_cells(first, last, cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
         # None spares numba the code for meshes, which few worlds have
         meshes = (solids.triangles, owner, solids.mesh_filled) if len(owner) else None
+        # in the order of `_from_solids`; without its kernel, so that clearances can be pickled
         self._arguments: tuple[Any, ...] = (
             low,
             cell_m,
@@ -152,6 +155,7 @@ def heading_lengths(movers: Movers) -> Floats:
     """
     u, (start, linear, square, cubic) = _lengths_s(movers), np.moveaxis(movers.course[:, 3:], 2, 0)
     chord = u * (linear + u * (square + u * cubic))
+    # a constant heading has a chord of length 0
     squares = np.maximum((chord * chord).sum(axis=1), 1e-300)
     along = np.clip(-(start * chord).sum(axis=1) / squares, 0.0, 1.0)
     return np.asarray(np.sqrt(((start + along[:, None] * chord) ** 2).sum(axis=1)))
@@ -176,6 +180,7 @@ class MoversClearance:
             for part in (slopes[..., :3], slopes[..., 3:])
         )
         reach = np.repeat(movers.bodies[1], np.diff(movers.piece_start))
+        # scaled to length 1, a heading turns the faster the shorter it is
         fastest = speed + turn / heading_lengths(movers) * reach
         self._fastest_mps = float(fastest.max(initial=0.0))
 
@@ -217,7 +222,9 @@ def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints
     """List by cell the elements that reach into it.
 
     Compressed rows: item[start[c]:start[c + 1]] are those of cell c, rising."""
+    # counts stand two places on: when the second visit has moved them, start[c] begins cell c
     start, columns = np.zeros(cells.prod() + 2, np.int64), cells[1]
+    # an empty array, no None: for another type, numba would compile the kernel again
     _visit_cells(first, last, columns, start, np.empty(0, np.int64))
     np.cumsum(start, out=start)
     item = np.empty(start[-1], np.int64)
@@ -351,6 +358,7 @@ def widest(begin, reach, cap_m, arguments):
     """
     states, voxel_m, origin, _ = arguments
     seen = np.zeros(states.shape, np.bool_)
+    # heapq pops the least, so widths and distances are negative
     width, waiting = cap_m, [(-cap_m, 0, *begin)]
     while len(waiting) > 0:
         lack, far, i, j, k = heapq.heappop(waiting)
@@ -361,6 +369,7 @@ def widest(begin, reach, cap_m, arguments):
             step = 1 - 2 * (d & 1)
             a, b, c = i + step * (d < 2), j + step * (d // 2 == 1), k + step * (d > 3)
             inside = 0 <= a < len(states) and 0 <= b < states.shape[1] and 0 <= c < states.shape[2]
+            # its width and distance are the same from every side, so it waits only once
             if inside and not seen[a, b, c]:
                 seen[a, b, c] = True
                 x, y, z = (
@@ -394,6 +403,7 @@ def _motion_is_free(p, q, radius, arguments):
             return False
         if s >= 1.0:
             return True
+        # without a least step, the walk towards a surface would never arrive
         t = min(t + max(free, STEP_M), length)
 
 
@@ -406,6 +416,7 @@ def _course_is_free(begin_s, course, end_s, balls, arguments):
         turns = False
         for power in range(1, COEFFICIENTS):
             turns |= course[piece, 3, power] != 0.0 or course[piece, 4, power] != 0.0
+        # a constant heading, computed once a piece: its steps are many
         _, _, _, cosine, sine = pose(course, piece, 0.0)
         for ball in range(len(balls)):
             bx, by = balls[ball, 0], balls[ball, 1]
@@ -431,7 +442,9 @@ def _course_is_free(begin_s, course, end_s, balls, arguments):
                 z += balls[ball, 2]
                 free = _clearance(x, y, z, CAP_M, 0.0, arguments) - balls[ball, 3]
                 if free >= reach:
+                    # a wide place may follow a narrow one, so steps grow again
                     begin, step = end, 2.0 * (end - begin)
+                # what the shortest step cannot settle is refused: what passes is surely free
                 elif free < 0.0 or end - begin < STEP_S:
                     return False
                 else:
@@ -447,6 +460,7 @@ def _near_movers(x, y, z, time, arguments):
     for m in range(len(reach)):
         piece, u, px, py, pz = place(m, time, courses)
         dx, dy, dz = x - px, y - py, z - pz
+        # most movers are far away: their ball spares the turn and the solids
         if math.sqrt(dx * dx + dy * dy + dz * dz) - reach[m] >= nearest:
             continue
         _, _, _, hx, hy = pose(courses[3], piece, u)
@@ -479,4 +493,5 @@ def _motion_avoids(p, q, times, radius, fastest, arguments):
             return False
         if time >= end:
             return True
+        # at least a millimetre a second: time goes on where nothing moves
         time = min(time + max(free, STEP_M) / max(speed, STEP_M), end)

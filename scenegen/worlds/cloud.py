@@ -268,6 +268,7 @@ def _carve(points, sensors, origin, voxel_m, states, occupied):
     inside = 0
     for n in range(len(points)):
         x, y, z = points[n]
+        # False for NaN; farther ones would overflow the whole numbers below
         if not abs(x) + abs(y) + abs(z) < FARTHEST_M:
             continue
         i = math.floor((x - origin[0]) / voxel_m)

@@ -175,6 +175,7 @@ def from_stop_to_stop(
             headings[n] = -headings[n][0], -headings[n][1]
     writer = _Writer()
     for n, (leg, length) in enumerate(zip(legs, lengths, strict=True)):
+        # at the first point, it looks as it arrives from the last: tours close
         writer.add(_ticks(waits_s[n]), places[n], headings[n - 1])
         _turn(writer, places[n], headings[n - 1], headings[n], rate)
         # rising and falling speed, with constant speed between them where the leg is long enough
@@ -182,6 +183,7 @@ def from_stop_to_stop(
         rise = _ticks(peak / acceleration)
         cruise = max(math.ceil((length / peak - rise * TICK_S) / TICK_S), 0)
         rise_s, cruise_s = rise * TICK_S, cruise * TICK_S
+        # a little slower than asked, so that a leg of whole ticks ends at its end
         u, v, w = (way / (rise_s + cruise_s) for way in leg)
         half = u / (2 * rise_s), v / (2 * rise_s), w / (2 * rise_s)
         begun = _moved(places[n], (u, v, w), rise_s / 2)
@@ -213,6 +215,7 @@ def without_stop(points: Floats, speed: float, acceleration: float, rate: float)
     rounds = 2 ** math.floor(math.log2(rounds))
     total = round(PERIOD_S / rounds / TICK_S)
     ticks = np.floor(lengths / lengths.sum() * total).astype(int)
+    # the last leg takes up the rounding of all: a round fits into the period exactly
     ticks[-1] = total - ticks[:-1].sum()
     velocity = legs / (ticks * TICK_S)[:, None]
     change = velocity - np.roll(velocity, 1, axis=0)
@@ -252,6 +255,7 @@ def _repeated(writer: _Writer, place: Vector, heading: Pair) -> Course | None:
     period = round(PERIOD_S / TICK_S)
     if writer.ticks > period:
         return None
+    # tables hold no rounds: pieces are written again for each
     rounds, tour = period // writer.ticks, writer.course()
     begin = np.concatenate([tour.begin_s + n * writer.ticks * TICK_S for n in range(rounds)])
     pieces = np.tile(tour.pieces, (rounds, 1, 1))

@@ -84,7 +84,7 @@ class Drawing:
             shape: Its shape.
             size: MuJoCo's sizes, metres.
             position: (3,), metres.
-            more: `quat` (w x y z), `rgba`, and every other keyword of MuJoCo's `add_geom`.
+            attributes: `quat` (w x y z), `rgba`, and every other keyword of MuJoCo's `add_geom`.
         """
         if attributes.keys() <= {"quat", "rgba"}:
             sizes = np.zeros(3)
@@ -196,8 +196,15 @@ class Drawing:
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
-        """Write the document, UTF-8. Raises ValueError if it has too many solids or MuJoCo refuses
-        the world, and CorruptFileError if readers of the archive would."""
+        """Write the document.
+
+        Returns:
+            The MJCF, UTF-8: lengths in metres, z up, in the world's frame.
+
+        Raises:
+            ValueError: If it has too many solids, or MuJoCo refuses the world.
+            CorruptFileError: If readers of the archive would refuse it.
+        """
         solids = len(self._solids) + (len(self._spec.geoms) if self._spec is not None else 0)
         # kinds do not count the floor in `max_solids`
         if solids > MAX_DRAWN_SOLIDS + 1:

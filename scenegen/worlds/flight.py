@@ -37,6 +37,7 @@ GRAVITY = 9.81
 MIN_THRUST = 0.5
 """Lower bound of the thrust's vertical part, as a share of the thrust in hover."""
 
+# OMPL would print lines on every search
 ou.noOutputHandler()
 
 
@@ -128,6 +129,7 @@ def fly(
         ends = _start_and_goal(clearance, bounds, flight, rng=rng)
     else:
         bounds, ends = _ends_in_map(world, flight, sees, rng=rng)
+        # in dense maps, RRT finds almost no way, even between ends that free space joins
         planner_type = og.RRTConnect
     # drawn even without ends, so that later draws do not depend on them
     seed = int(rng.integers(1, 2**31))
@@ -182,6 +184,7 @@ def connect(
     # OMPL evaluates the condition once an iteration
     rounds = iter(range(flight.iterations))
     status = planner.solve(ob.PlannerTerminationCondition(lambda: next(rounds, None) is None))
+    # an approximate path ends elsewhere than at the goal
     if status.getStatus() != ob.PlannerStatus.EXACT_SOLUTION:
         return None
     return information, problem.getSolutionPath()
@@ -281,6 +284,7 @@ def _ends_in_map(
     def draw(apart_m: float) -> Floats | None:
         for point in rng.uniform(box[0], box[1], (POINTS, 3)):
             is_far = start is None or ((point - start) ** 2).sum() >= apart_m * apart_m
+            # the dearest test last: `sees` casts rays through the map
             if is_far and clearance.at(*point) >= flight.robot_radius_m and sees(point):
                 return point
         return None

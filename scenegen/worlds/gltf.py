@@ -123,6 +123,7 @@ class Gltf:
         """Return the number of an accessor's elements. Raises CorruptFileError if it exceeds the
         limit."""
         count: int = self.document["accessors"][number]["count"]
+        # separate triangles have three corners each
         if not 0 <= count <= 3 * MAX_TRIANGLES:
             raise CorruptFileError(
                 f"accessor {number} has {short_repr(count)} elements; simplify the file"
@@ -167,6 +168,7 @@ class Gltf:
             shape, kind, content, offset, steps
         )  # raises if it would leave the buffer
         if accessor.get("normalized") and kind.kind in "iu":
+            # glTF's rule: the least integer, one beyond the greatest's negative, means -1, too
             return np.maximum(values / float(np.iinfo(kind).max), -1.0)
         return values.astype(float)
 

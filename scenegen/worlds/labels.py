@@ -136,6 +136,7 @@ def label_fields(
     engine: Any = world.caster(AnalyticEngine.of)
     met = engine.hits(origin, directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
+    # voxels that only a mover fills belong to no geom
     standing = sample.get("static_occupancy", sample["occupancy"])
     voxels = owners(world.solids, standing, grid, sample["origin"]).astype("<i4")
     if world.movers is not None:
@@ -171,7 +172,8 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
         (*grid.shape): numbers of geoms; `NONE` where not occupied.
     """
     origin, voxel_m = np.asarray(origin, float), grid.voxel_m
-    # a cube that a solid touches has its centre no farther off
+    # a cube that a solid touches has its centre no farther off; twice the slack, since `touches`
+    # counts corners and edges up to 1.7 times as far
     reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
     # below any distance in free voxels, so that no geom claims them
     nearest, owner = np.where(occupancy, np.inf, -1.0), np.full(grid.shape, NONE, np.int32)

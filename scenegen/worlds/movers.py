@@ -63,6 +63,7 @@ class Body:
         for shape, size, centre, half in zip(
             self.shape, self.size, self.offset, self._half, strict=True
         ):
+            # balls about cells of a box reach far below a capsule: people would float
             if shape == CAPSULE:
                 parts.append(_along_axis(size[0], size[1], centre))
             else:
@@ -74,6 +75,7 @@ class Body:
         """Height of the centre and radius of a ball, centred above the origin, that holds all."""
         half = self._half
         low, high = (self.offset - half)[:, 2].min(), (self.offset + half)[:, 2].max()
+        # on the axis of turns: two movers then are kept apart by their places alone
         middle = float(low + high) / 2
         corners = np.abs(self.offset - (0.0, 0.0, middle)) + half
         return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
@@ -81,6 +83,7 @@ class Body:
     @cached_property
     def width(self) -> float:
         """Radius of a ball that fits where the body does, when it moves ahead, metres."""
+        # below `CAP_M`, which no distance exceeds; the certificate looks at all of a wider body
         return min(float((np.abs(self.balls[:, 1]) + self.balls[:, 3]).max()) + GAP_M, 0.99)
 
     @cached_property
@@ -113,6 +116,7 @@ def _along_axis(radius: float, half: float, centre: Floats) -> Floats:
 
 def _covered(low: Floats, high: Floats) -> Floats:
     """Balls (B, 4) about the cells of a box that cover it."""
+    # half a metre keeps radii below `CAP_M`, as the certificate needs
     cells = np.maximum(np.ceil((high - low) / 0.5), 1).astype(int)
     edge = (high - low) / cells
     index = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -248,6 +252,7 @@ class _Tour:
         acceleration = getattr(traffic, f"{kind}_mps2")
         behaviour = BEHAVIOURS[int(self.rng.integers(len(BEHAVIOURS)))]
         points = behaviour(self)
+        # else people would walk on in the air beyond a wall or a roof
         if points is None or (kind != "drone" and self._leaves_the_ground(points)):
             return None
         if behaviour is _Tour.loop:
@@ -272,11 +277,13 @@ class _Tour:
             return None
         shares = np.linspace(0.0, 1.0, int(self.rng.integers(3, 5)))[:, None]
         there = ends[0] + shares * (ends[1] - ends[0])
+        # the way back, without the two ends, where it would stop twice
         return np.concatenate([there, there[-2:0:-1]])
 
     def wander(self) -> Floats | None:
         """Through random places, and back the same way."""
         points = [self._start()]
+        # half of the legs: the way back takes as many
         for _ in range(int(self.rng.integers(2, LEGS // 2 + 1))):
             if (next_point := self._leg_from(points[-1])) is None:
                 break
@@ -285,7 +292,9 @@ class _Tour:
 
     def loop(self) -> Floats | None:
         """Round a regular polygon."""
+        # a triangle turns by more than a right angle, which `without_stop` refuses
         corners, radius = int(self.rng.integers(4, 9)), self.rng.uniform(2.0, 8.0)
+        # a direction without sines, whose last bits depend on the library
         x, y = self.rng.uniform(-1.0, 1.0, 2).tolist()
         length = math.sqrt(x * x + y * y) or 1.0
         spoke, points = np.array([x, y]) / length * radius, list[Floats]()
@@ -312,6 +321,7 @@ class _Tour:
             places = self._above_ground(places)
         for start in places:
             x, y, z = start.tolist()
+            # a first look saves tries; it is the certificate that decides
             if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.width:
                 break
         return np.asarray(start)
@@ -338,7 +348,9 @@ class _Tour:
         # from the zone's upper side: what is above it, such as a ceiling, is no ground
         top = result[:, 2] = self.zone[1, 2]
         depth = self.caster.cast(result, down, REACH_M)[:, 0]
+        # kinds without ground have it at z = 0
         ground = np.where(np.isfinite(depth), top - depth, 0.0)
+        # a fifth more: in finite steps, a gap of exactly `GAP_M` cannot be told from a smaller one
         result[:, 2] = ground + (self.body.sink + 1.2 * GAP_M)
         return result
 
@@ -362,6 +374,7 @@ class _Tour:
 
 
 BEHAVIOURS = (_Tour.line, _Tour.stops, _Tour.wander, _Tour.loop)
+# written out: the last bits of a library's sines depend on the machine
 TURNS = {
     4: (0.0, 1.0),
     5: (0.30901699437494745, 0.9510565162951535),
@@ -376,6 +389,7 @@ def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool
     """Whether balls around two movers stay `GAP_M` apart for a period."""
     heights = first[0].ball[0], second[0].ball[0]
     near = GAP_M + first[0].ball[1] + second[0].ball[1]
+    # two that stand all the time would divide by 0
     speed = max(first[1].fastest_mps, 1e-6) + max(second[1].fastest_mps, 1e-6)
     # endless courses: both are looked at within one period
     return bool(_are_apart(first[1].table, second[1].table, PERIOD_S, heights, near, speed))
@@ -405,6 +419,7 @@ def _joined(movers: Sequence[tuple[Body, Course]]) -> Movers:
         kind=np.array([1 + KINDS.index(body.kind) for body in bodies], np.int64),
         owner=np.array(owner, np.int64),
         shape=np.array([shape for body in bodies for shape in body.shape], np.int64),
+        # an empty array first: NumPy joins no empty list, and a world may have no movers
         size=np.concatenate([np.empty((0, 3)), *(body.size for body in bodies)]),
         offset=np.concatenate([np.empty((0, 3)), *(body.offset for body in bodies)]),
         piece_start=np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64),
@@ -426,7 +441,9 @@ def with_text(mjcf: bytes, movers: Movers) -> bytes:
     Returns:
         The document, whose solids are the same.
     """
+    # a text, not geoms: so the model, flights, truth and labels stay those of what stands
     text = f'{{"period_s":{movers.period_s},"movers":{encoded(movers)}}}'
+    # single quotes around it: JSON is full of double ones
     element = f"<custom><text name=\"{TEXT}\" data='{text}'/></custom>\n</mujoco>"
     before, _, after = mjcf.rpartition(b"</mujoco>")
     return before + element.encode() + after
@@ -460,6 +477,7 @@ def _table(rows: Floats) -> str:
     """Write a table in JSON; equal rows, as rounds have, only once."""
     texts = dict[bytes, str]()
     for row in rows:
+        # by bytes, since -0.0 equals 0.0 but is written in another way
         key = row.tobytes()
         if key not in texts:
             texts[key] = _list(row)
@@ -468,6 +486,7 @@ def _table(rows: Floats) -> str:
 
 def _list(values: Floats) -> str:
     """Write finite numbers in JSON, quicker than `json`."""
+    # Python writes the shortest digits that are read back as the same bits
     return str(values.tolist()).replace(" ", "")
 
 
@@ -487,6 +506,7 @@ def read_text(text: str) -> Movers:
         table = json.loads(text)
         entries, period_s = table["movers"], float(table["period_s"])
         movers = _joined([_read_entry(entry) for entry in entries])
+    # a stranger's text may be any JSON, nested however deep
     except (KeyError, OverflowError, TypeError, ValueError, RecursionError):
         raise ValueError(
             f"<text name={TEXT!r}>: is no table of movers; generate the dataset anew"
@@ -526,10 +546,12 @@ def fault_of(movers: Movers) -> str:
     if not np.isin(movers.kind, np.arange(1, len(KINDS) + 1)).all():
         return f"expected kinds from 1 to {len(KINDS)}"
     rising = np.diff(movers.begin_s) > 0
+    # from the last piece of a mover to the first of the next, times fall
     rising[movers.piece_start[1:-1] - 1] = True
     starts = movers.begin_s[movers.piece_start[:-1]]
     if not rising.all() or (math.isfinite(movers.period_s) and starts.any()):
         return "expected pieces that rise, from 0 on where they repeat"
+    # kernels look for the greatest speed at the ends of a piece: right up to the second degree
     if movers.course[:, :3, 3].any() or not (heading_lengths(movers) >= LEAST_HEADING).all():
         return f"expected places of second degree, and headings of a length of {LEAST_HEADING:g}"
     return ""

@@ -62,6 +62,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     magics = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
     if first.strip() not in magics or not mark or len(head) > MAX_HEADER_BYTES:
         raise SceneError(f"{name}: not an OctoMap; expected a .bt or .ot file of OctoMap 1.x")
+    # latin-1 decodes any byte, so damaged headers are refused for what they lack
     lines = (line.split(None, 1) for line in head.decode("latin-1").splitlines())
     header = {words[0]: words[1].strip() for words in lines if len(words) == 2}
     if header.get("id") != "OcTree":
@@ -76,6 +77,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
         voxel_m = float("nan")
     check_voxel(voxel_m, name)
     data, is_binary = np.frombuffer(tree, np.uint8), magics[first.strip()]
+    # inside out, so that the first cube becomes the box
     bounds = np.array([[2 * HALF] * 3, [0] * 3])
     nothing = np.empty((0, 0, 0), np.uint8)
     # twice: the size of the array is known only after a first pass
@@ -353,6 +355,7 @@ def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> 
 
 def map_digest(voxels: VoxelMap) -> bytes:
     """Compute the SHA-256 of a map's content, independent of its file's format."""
+    # of one byte order on every machine
     digest = hashlib.sha256(np.array([voxels.voxel_m, *voxels.origin], "<f8").tobytes())
     # cells in a row do not tell their shape
     digest.update(repr(voxels.states.shape).encode())
@@ -393,6 +396,7 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
                 f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
                 "axes"
             )
+    # a file may hold Fortran's order, for which numba would compile every kernel again
     states, voxel_m, origin = np.ascontiguousarray(arrays[0]), float(arrays[1]), arrays[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
@@ -408,7 +412,7 @@ def encode_map(voxels: VoxelMap, where: str, **extra: NDArray[Any]) -> bytes:
     Args:
         voxels: The map.
         where: The file's name, for messages.
-        more: Further arrays by name.
+        extra: Further arrays by name.
 
     Returns:
         The file's bytes.
@@ -444,6 +448,7 @@ def box_of(cells: NDArray[Any], counts: Callable[[NDArray[Any]], Mask]) -> Ints:
         seen |= marked
     box = np.zeros((2, cells.ndim), np.int64)
     for axis in range(cells.ndim) if rows.any() else ():
+        # `seen` lacks the first axis
         across = tuple(n for n in range(seen.ndim) if n != axis - 1)
         line = seen.any(axis=across) if axis else rows
         box[:, axis] = np.flatnonzero(line)[[0, -1]] + [0, 1]
@@ -474,6 +479,7 @@ class PlaceClearance(Clearance):
         reach, margin = math.ceil(length_m / voxel_m), math.ceil(cap_m / voxel_m)
         begin = np.floor((start - origin) / voxel_m).astype(int)
         low = np.maximum(begin - reach - margin - 1, 0)
+        # what a way and its clearances can reach: `widest` takes a byte for every voxel given
         cut = tuple(map(slice, low, begin + reach + margin + 2))
         part = np.ascontiguousarray(states[cut]), voxel_m, origin + low * voxel_m, opened
         return float(widest(tuple((begin - low).tolist()), reach, cap_m, part))

@@ -66,6 +66,7 @@ class Track:
         times = self.times_s
         if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
             return None
+        # beyond the ends, np.interp gives the end itself: it holds there
         position = float(np.interp(time_s, times, np.arange(len(times))))
         before = int(position)
         after = min(before + 1, len(times) - 1)
@@ -117,7 +118,7 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
         poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
         return Track(np.full(len(rows), np.nan), poses, "matrices as KITTI's")
     if not names and any("q" in name for name, _ in _column_names(comment)):
-        # EuRoC and others write the names in a comment
+        # EuRoC and others write the names in a comment; one without a quaternion's is prose
         names = comment
     named = _column_names(names or TUM[: rows.shape[1]])
     columns = {
@@ -294,6 +295,7 @@ def _check_finite(rows: Floats, path: Path) -> None:
 def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
     """Read a table as `read_numbers` does, with NaN for words in columns that have names; and the
     names in the last comment above the first row, if they are as many as its columns."""
+    # decodes any byte: a file of another type is refused for its first line, with its number
     text = read_bounded(path, MAX_ASSET_BYTES).decode("latin-1")
     rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
     for number, line in enumerate(text.splitlines(), start=1):

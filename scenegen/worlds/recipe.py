@@ -92,6 +92,7 @@ class Recipe:
     grid: GridSpec = field(default_factory=GridSpec)
     noise: Noise = field(default_factory=Noise)
     """The noise of ranges. Worlds, flights and viewpoints do not depend on it."""
+    # a dict has no hash, and a recipe must have one to be a key
     parts: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """Settings of optional parts of samples, by their names in `scenegen.draw.parts.PARTS`. Nothing
     else depends on them."""
@@ -108,6 +109,7 @@ class Recipe:
         # a manifest must be readable without the user's code
         if not isinstance(self.lidar, Lidar | BeamTable):
             object.__setattr__(self, "lidar", beam_table(self.lidar))
+        # read again from a manifest, the stages must be the same ones
         if self.noise.stages and Noise.parse(self.noise.spelled()) != self.noise:
             raise ValueError(
                 f"[noise] stages = {str(self.noise)[:200]!a}: a stage's values cannot stand in a "
@@ -126,6 +128,7 @@ class Recipe:
                 f"expected "
                 f"{MAX_VOXELS_IN_FLIGHT // voxels} at most with grid.shape = {list(grid.shape)}"
             )
+        # no ray would leave the voxel of its sensor
         if grid.voxel_m > self.lidar.max_range_m:
             raise ValueError(
                 f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, "
@@ -157,6 +160,7 @@ class Recipe:
     def _check_movers(self, traffic: Traffic) -> None:
         """Raise ValueError if movers do not go with other settings."""
         if (labels := self.parts.get("labels")) is not None:
+            # movers have classes that no geom of the world names
             missing = (name for name in KINDS if name not in labels.classes)
             labels = replace(labels, classes=(*labels.classes, *missing))
             object.__setattr__(self, "parts", {**self.parts, "labels": labels})
@@ -165,6 +169,7 @@ class Recipe:
                 "[movers] firing_times: this sensor's rays have no times of their own; give "
                 "another --lidar, or leave firing_times out"
             )
+        # motion casts rays anew in groups, each at one time, not at the times of its rays
         if traffic.firing_times and any(isinstance(stage, Motion) for stage in self.noise.stages):
             raise ValueError(
                 "[movers] firing_times: do not go with the noise motion; leave one of the two out"
@@ -225,6 +230,7 @@ class Recipe:
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         return {
             "version": self.version,
+            # left out where it is the usual one, as in manifests that were made without it
             **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
             **{name: asdict(part) for name, part in tables.items() if part is not None},
         }
@@ -329,6 +335,7 @@ def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, prefix: s
     names = sorted({name for values in levels.values() for name in values})
     alike = {}
     for preset_level, values in levels.items():
+        # made as `world` was: checks turn values into the annotated types
         preset_world = from_table(kind, values, f"{prefix}difficulty {preset_level}", Path())
         alike[preset_level] = sum(
             getattr(world, name) == getattr(preset_world, name) for name in names
@@ -369,6 +376,7 @@ def make_recipe(
     Raises:
         RecipeError: If a value is invalid; the message names the table and the parameter.
     """
+    # `Faults`, not `Noise`: the stages stay a text until the sensor is known
     kinds = {
         "flight": Flight,
         "accept": Acceptance,
@@ -377,11 +385,13 @@ def make_recipe(
         "noise": Faults,
         "mapping": Mapper,
     }
+    # these two only where they are asked for: without them, recipes have None
     if "known" in tables:
         kinds["known"] = Known
     if "movers" in tables:
         kinds["movers"] = Traffic
     prefix = f"{where}: " if where else ""
+    # a new table: entries are taken out of it, and the caller keeps theirs whole
     tables = _with_options(tables, where, settings)
     level = tables.pop("difficulty", "medium")
     defaults: dict[str, Json] = {}

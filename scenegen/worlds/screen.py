@@ -103,6 +103,7 @@ def screen(document: bytes, assets: Mapping[str, bytes], name: str) -> bytes:
         # an element counts with the digest of its parent's, so that a move to another body changes
         # it
         outline.append(f"{within[-1]} {tag} {' '.join(written)}")
+        # a geom holds no other solid, so that nobody needs its digest
         within.append(
             "" if tag == "geom" else hashlib.sha256(outline[-1].encode()).hexdigest()[:16]
         )
@@ -138,6 +139,7 @@ def _check_attributes(
         if (tag, key) == ("hfield", "file") and not value.lower().endswith(".png"):
             _check_field(assets[value], where)
         limit = 100_000 if (tag, key) == ("numeric", "size") else MAX_MJCF_VALUES.get(key)
+        # by -1, MuJoCo's files ask for its default
         if limit is not None and not -1 <= _amount(value) <= limit:
             raise CorruptFileError(f"{where}: expected {limit} at most")
     for sides in (("width", "height"), ("nrow", "ncol")):

@@ -209,6 +209,7 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     sensor = from_table(kind, entries, where, folder)
     if isinstance(noise := getattr(sensor, "noise", None), str) and noise:
         with reraise_as(RecipeError, f"{where} "):
+            # tried now: else a fault in it shows only when `datasheet` is asked for
             Noise.parse(noise)
     # tried now, so that faults of a user's own code show before any world is drawn
     if name not in SENSORS.builtin:
@@ -261,6 +262,7 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
             'sensor = ["raster", "ouster-os1-64"]'
         )
     listed = {
+        # an interval may stand alone, without a list around it
         (table, name): [values] if isinstance(values, str) else values
         for table, row in rows.items()
         for name, values in row.items()
@@ -272,6 +274,7 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
                 "values, or an "
                 'interval, such as "0.01..0.05"'
             )
+    # looked for in the text of all values, since intervals may stand deep in nested lists
     if type(draws) is not int or (draws > 0) != bool(_INTERVAL.search(str(listed))):
         raise RecipeError(
             f"{at}: domain.draws = {short_repr(draws)}: expected how often to draw, such as "
@@ -300,10 +303,12 @@ def _drawn(value: Any, rng: Generator) -> Any:
         return value
 
     def number(interval: re.Match[str]) -> str:
+        # an interval may be written from its greater end
         low, high = sorted(interval.groups(), key=float)
         if "." in low + high:
             return f"{rng.uniform(float(low), float(high)):.4g}"
         return str(rng.integers(int(low), int(high), endpoint=True))
 
     text = _INTERVAL.sub(number, value)
+    # alone, an interval becomes a number; within a text, such as noise's, it stays text
     return json.loads(text) if _INTERVAL.fullmatch(value) else text

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from lidarsim.parameters import Checked, number
 
+# new kinds go to the end: datasets hold the numbers of those that are there
 KINDS = ("person", "vehicle", "drone")
 """Kinds of movers; samples store the number of a kind, from 1 on."""
 MAX_MOVERS = 24
@@ -14,6 +15,7 @@ MAX_SOLIDS = 3
 """Most solids of a mover."""
 MAX_PIECES = 32
 """Most pieces of a course that a sample stores, see `before_s` and `after_s`."""
+# a power of two: times from 0 on are brought into the period without rounding
 PERIOD_S = 32.0
 """Every course repeats after this time, seconds."""
 
@@ -25,6 +27,7 @@ class Traffic(Checked):
 
     people: tuple[int, int] = number((2, 4), minimum=0, maximum=MAX_MOVERS, rising=True)
     """People of a world: upright capsules, where the kind has people."""
+    # none is asked for: between parked cars, nearly half of the streets have no room
     vehicles: tuple[int, int] = number((0, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
     """Vehicles: a box with a cabin, where the kind has vehicles."""
     drones: tuple[int, int] = number((1, 2), minimum=0, maximum=MAX_MOVERS, rising=True)
@@ -49,6 +52,7 @@ class Traffic(Checked):
     """Maximum mean rate of a turn, radians a second; in its middle, at most twice that."""
     sensor_mps: float = number(1.0, above=0, maximum=30)
     """Speed of the sensor, which times the viewpoints of a flight, metres a second."""
+    # off: the paper's sensor casts all rays at once, so recipes with it would be refused
     firing_times: bool = False
     """Whether each ray meets movers where they are at its own time, not when the scan begins."""
     after_s: float = number(2.5, minimum=0, maximum=10)

@@ -23,6 +23,7 @@ from scenegen.worlds.clouds.columns import RING_NAMES, Table, origin_fields, tim
 
 MAX_SCANS = 100_000
 """Scans of a folder."""
+# Linux allows no longer names of files
 MAX_DIGITS = 255
 """Digits of a number in a file's name."""
 KITTI_FOLDER = "velodyne"
@@ -60,6 +61,7 @@ def cloud_of(table: Table) -> Cloud:
     def stacked(names: list[str]) -> Floats:
         return np.stack([np.asarray(columns[name], np.float64) for name in names], axis=1)
 
+    # float64: coordinates of surveys have more digits than float32 holds
     points = stacked([*"xyz"])
     origins = stacked(fields) if (fields := origin_fields(columns)) else table.origin
     times = {

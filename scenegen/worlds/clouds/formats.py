@@ -154,6 +154,7 @@ def read_pcd(content: bytes) -> Table:
     viewpoint = _numbers_of(header, "VIEWPOINT", NO_VIEWPOINT, float)
     if len(viewpoint) != len(NO_VIEWPOINT):
         raise ValueError(f"VIEWPOINT has {len(viewpoint)} numbers, expected 7")
+    # a place for each point says more than one VIEWPOINT for all
     if viewpoint == NO_VIEWPOINT or origin_fields(table.columns):
         return table
     layout_read = f"{table.layout[:-1]}, VIEWPOINT)"
@@ -237,6 +238,7 @@ def _unpack_lzf(packed, unpacked):
         if control < 32:
             length, source = control + 1, -1
         else:
+            # of three bits for a length, 7 says that another byte adds to it
             length, distance = control >> 5, (control & 31) << 8
             if length == 7 and offset < len(packed):
                 length += int(packed[offset])
@@ -402,6 +404,7 @@ def read_xyz(content: bytes) -> Table:
     # else the commas would make two numbers of one
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
+    # one more than allowed, so that `read_cloud` sees that there are too many
     columns = text_columns(content.replace(b",", b" "), places, MAX_POINTS + 1)
     return Table(columns, "x y z (.xyz, text)")
 

@@ -72,6 +72,7 @@ def encode_npz(fields: Mapping[str, Any], level: int = 1) -> bytes:
         for name, values in fields.items():
             # opened by name, a member gets the epoch as its date, not the current time
             with members.open(f"{name}.npy", "w") as member:
+                # a pickle runs code when it is read, so objects are refused
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
     return file.getvalue()
 
@@ -118,6 +119,7 @@ def encode_points(
         optional = {} if intensity is None else {"intensity": intensity}
         return encode_npz({"points": points, **optional, **about})
     names, columns = ["x", "y", "z"], [points]
+    # KITTI's readers expect four numbers a point, so a .bin has a column of zeros without it
     if intensity is not None or suffix == ".bin":
         names.append("intensity")
         columns.append(np.zeros((len(points), 1)) if intensity is None else intensity[:, None])

@@ -69,6 +69,7 @@ def find_kind(name: str) -> "type[WorldKind]":
         ValueError: In one line, if there is no such kind, or its class is not a complete
             `WorldKind`.
     """
+    # not at the top: it loads MuJoCo, which readers of datasets do without
     from scenegen.worlds.kinds.kind import WorldKind
 
     kind = KINDS.find(name)

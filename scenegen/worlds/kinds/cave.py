@@ -104,6 +104,7 @@ class Cave(Classed):
         plan = (x_m * y_m, (0.0, 0.0), size)
         for x, y in scattered(self.dripstone_density, *plan, rng=rng):
             low = height_at(floor, self.size_m, x, y)
+            # heights of the roof count downwards
             high = height - height_at(roof, self.size_m, x, y)
             long, wide, side = rng.random(3).tolist()
             reach = (high - low) * (0.25 + 0.6 * long)

@@ -57,7 +57,7 @@ class Clutter(Classed):
     """Share of solids at any attitude; the rest are upright."""
 
     def add_to(self, spec: Drawing, *, rng: Generator) -> None:
-        """Draw four times as many places as needed, and keep the likeliest by the noise.
+        """Draw four times as many places as needed, and choose among them by weights of the noise.
 
         Args:
             spec: The world to add to.
@@ -73,6 +73,7 @@ class Clutter(Classed):
         # noise^contrast; 1e-6, since the logarithm of 0 is infinite
         weight = exp(self.contrast * log(np.maximum(noise / noise.max(), 1e-6)))
         keys = -log(rng.uniform(1e-12, 1.0, len(places))) / np.maximum(weight, 1e-30)
+        # other sorts may put equal keys in another order on another processor
         places = places[np.argsort(keys, kind="stable")[:n]]
         low, high = log(np.array(self.half_size_m)).tolist()
         sizes = np.asarray(exp(rng.uniform(low, high, (n, 3))))

@@ -70,6 +70,7 @@ class Forest(Classed):
             rng: Decides everything that is random.
         """
         parts, (x_m, y_m, _) = Parts(), self.size_m
+        # a coarse lattice: the truth of its triangles takes much of a sample's time
         heights = rng.uniform(*self.hill_m) * hilly(self.size_m, 1.25, (12.0, 5.0), rng=rng)
         if self.ground:
             middle, depth = (x_m / 2, y_m / 2, 0.0), self.ground_m

@@ -101,6 +101,7 @@ class Geometric(WorldKind):
             spec: The world to add to.
             rng: Decides everything that is random.
         """
+        # no solid has a class, here and in `pillar`: classes would change the bits of both presets
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
         scale = rng.uniform(*self.scale)
@@ -117,6 +118,7 @@ class Geometric(WorldKind):
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
         # the earlier solid to stack each on, drawn for all so that shares do not change other draws
+        # the first has no earlier one, and is not stacked below
         on = rng.integers(0, np.maximum(np.arange(count), 1))
         reach = _half_height(shape, size, tilt)
         # one number decides among standing, stacked and floating
@@ -131,6 +133,7 @@ class Geometric(WorldKind):
 
     def _add_walls(self, spec: Drawing, count: int, *, rng: Generator) -> None:
         """Add upright slabs, turned at random."""
+        # half a turn is enough: a slab has two equal faces
         ranges = (self.wall_length_m, self.wall_half_thickness_m, self.wall_height_m)
         low, high = zip(
             (0.0, self.size_m[0]), (0.0, self.size_m[1]), *ranges, (0.0, np.pi), strict=True

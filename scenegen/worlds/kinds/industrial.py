@@ -111,7 +111,8 @@ class Industrial(Classed):
 
     def _pipes(self, parts: Parts, *, rng: Generator) -> None:
         """Add parallel pipes at one height on hangers; some turn down to the floor."""
-        # the shorter edge, since the lane may run along either
+        # the shorter edge, since the lane may run along either; a metre below the roof, pipes pass
+        # under its beams
         long, z = min(self.size_m[:2]), rng.uniform(0.4, self.size_m[2] - 1.0)
         y = 0.0
         # side by side: the next pipe begins beyond the last one's surface

@@ -84,6 +84,7 @@ class WorldKind(ABC):
         By default, parameters named `…density` count them per square metre; a kind that counts
         otherwise overrides this."""
         densities = [value for name, value in vars(self).items() if name.endswith("density")]
+        # a density may be one number, or the ends of a range
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     def mover_zones(self, bounds: Floats) -> dict[str, list[Floats]]:
@@ -178,6 +179,7 @@ def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     Returns:
         Numbers of that shape.
     """
+    # not the generator's own, whose bits depend on the C library's logarithm
     count = int(np.prod(shape))
     points, square = _disc((count + 1) // 2, rng=rng)
     return (

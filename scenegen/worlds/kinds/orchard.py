@@ -89,6 +89,7 @@ class Orchard(Classed):
                     height = rng.uniform(*self.height_m)
                     _tree(parts.at(x, y), height, clumps, rng=rng)
         for x, beyond in pairwise(rows):
+            # stretches of its own: what blocks an aisle may be far from the next passage
             for low, high in self._stretches(rng=rng):
                 blocked, at = rng.random(), rng.uniform(low, high)
                 if blocked < self.blocked_share:
@@ -109,6 +110,7 @@ class Orchard(Classed):
 
     def _stretches(self, *, rng: Generator) -> list[tuple[float, float]]:
         """Divide the length of a row by passages."""
+        # begun before the world's edge: else the first passages of all rows would be nearly in line
         y, stretches = -rng.uniform(0.0, self.stretch_m[1]), []
         while y < self.size_m[1]:
             end = y + rng.uniform(*self.stretch_m)
@@ -144,10 +146,12 @@ def _tree(parts: Parts, height: float, clumps: int, *, rng: Generator) -> None:
     tips = [top]
     for n, (turn, far, rise, twig) in enumerate(drawn):
         # boughs in turn around the bole, higher and shorter ones last
+        # by the golden angle, .382 of a turn: no bough hides the one below it
         angle = 2 * np.pi * (0.382 * n + 0.1 * turn)
         sine, cosine = (part.item() for part in sin_cos(np.array(angle)))
         z, reach = bole + (height - bole) * 0.18 * n, 0.6 + 0.5 * far - 0.08 * n
         foot = (0.4 * top[0], 0.4 * top[1], z)
+        # half as far across the row: trees on a trellis are trained along it
         cosine *= 0.5
         fork = (reach * 0.6 * cosine, reach * 0.6 * sine, z + 0.25 + 0.2 * rise)
         parts.limb("trunk", foot, fork, 0.45 * radius)

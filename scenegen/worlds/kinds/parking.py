@@ -98,6 +98,7 @@ class Parking(Classed):
         lines = [0.0, *np.arange(BLOCK_M, y_m - 1.0, BLOCK_M).tolist(), y_m]
         # the middle of each aisle: the outermost are cut by the world's edge
         aisles = [first + pitch * (n + 0.5) for n in range(len(spines) - 1)]
+        # a ramp with its walls is 3.5 m wide: an aisle that the world's edge cuts has no room
         inner = [n for n, x in enumerate(aisles) if 3.0 < x < x_m - 3.0]
         ramps: dict[int, int] = {}
         for n in inner:
@@ -154,6 +155,7 @@ class Parking(Classed):
                 # in the aisle, not behind a car; between bays, anywhere
                 low, high = span if axis == 0 else (aisles[n] - 2.5, aisles[n] + 2.5)
                 low, high = max(low, span[0]) + 0.2, min(high, span[1]) - 0.2
+                # no room for a gate: left open, since it may be the only way to a block
                 if high - low < gate:
                     continue
                 begin = low + place * (high - low - gate)
@@ -233,6 +235,7 @@ def _ramp(parts: Parts, level: float) -> None:
     """Add a ramp along y from the origin up to the next deck, between low walls."""
     for x in (-1.7, 1.7):
         parts.slab("wall", (x, 0, 0.3), (x, RISE_M, level + 0.3), 0.15, 0.9)
+    # lower by half its thickness, so that its upper side meets the decks
     parts.slab("floor", (0, 0, -0.1), (0, RISE_M, level - 0.1), 3.3, 0.2)
 
 

@@ -95,6 +95,7 @@ class Parts:
         pieces = [((u0, a0), (v0, v1)), ((a1, u1), (v0, v1))]
         pieces += [((a0, a1), (v0, b0)), ((a0, a1), (b1, v1))]
         for u_span, v_span in pieces:
+            # MuJoCo refuses boxes without size
             if u_span[1] - u_span[0] > 1e-6 and v_span[1] - v_span[0] > 1e-6:
                 low, high = [u_span[0], v_span[0]], [u_span[1], v_span[1]]
                 low.insert(axis, at - half)
@@ -277,6 +278,7 @@ def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     part = scaled - whole
     # smoothstep: without a kink at the lattice's points
     part = part * part * (3.0 - 2.0 * part)
+    # before it is drawn: a lattice too fine would take all memory
     _check_cells(float(np.prod(whole.max(axis=0) + 2.0)), f"noise of {cell_m:g} m")
     lattice = rng.random(tuple(whole.max(axis=0) + 2))
     noise = np.zeros(len(points))

@@ -67,6 +67,7 @@ class Pillar(WorldKind):
         """
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m
+        # one at least: worlds without solids are refused, and pillars may have no floor
         count = max(round(rng.uniform(*self.density) * x_m * y_m), 1)
         section = rng.random(count)
         round_ = section < self.round_share
@@ -90,10 +91,9 @@ class Pillar(WorldKind):
             for n in moved
         ]
         sine, cosine = sin_cos([angle for _, angle, _ in drawn])
+        # in rising order, so that an earlier pillar already stands where it stays
         for n, (neighbour, _, gap), *direction in zip(moved, drawn, cosine, sine, strict=True):
-            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(
-                direction
-            )  # which stays where it is
+            plan[n] = plan[neighbour] + (hull[n] + hull[neighbour] + gap) * np.array(direction)
         quats = np.where(round_[:, None], UPRIGHT, yaw_quaternion(yaw))
         shapes = np.where(round_, CYLINDER, BOX)
         sizes = np.stack([half, np.where(round_, height / 2, length), height / 2], axis=1)

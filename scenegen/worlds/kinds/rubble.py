@@ -79,6 +79,7 @@ class Rubble(Classed):
         for n, m in np.ndindex(*counts):
             # along either axis, to either side
             turn = int(rng.integers(0, 4))
+            # a quarter turn exchanges the edges
             size = (wide, deep) if turn % 2 == 0 else (deep, wide)
             frame = parts.at((n + 0.5) * wide, (m + 0.5) * deep, 0.0, turn * np.pi / 2)
             self._bay(frame, size, storey, rng=rng)
@@ -109,6 +110,7 @@ class Rubble(Classed):
                 low = floor + 0.3 + slip
                 ends = [((x, 0, top), (0.2 * x / half, 0, low)) for x in (half, -half)]
             elif how < 0.7:  # fell flat, upon what lies below
+                # what lies flat carries the floors that fall after it
                 floor += 0.5 + 0.9 * slip
                 ends = [((half, 0, floor), (-half, 0, floor + 0.5 * tilt))]
             elif how < 0.85:  # half of it broke off, and stands on its edge

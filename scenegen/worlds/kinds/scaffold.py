@@ -85,7 +85,9 @@ class Scaffold(Classed):
         """
         parts, (x_m, y_m, z_m) = self.begun("terrain"), self.size_m
         lane, deep = rng.uniform(*self.lane_m), rng.uniform(*self.deep_m)
+        # whole bays: the last one ends with the façade
         count = max(round(x_m / rng.uniform(*self.bay_m)), 1)
+        # standards go on for a metre above the last lift, to carry its rail
         bay, lifts = x_m / count, max(int((z_m - 1.0) / LIFT_M), 1)
         for turn in (0.0, np.pi):
             # x along the façade, y from the middle of the lane outwards
@@ -93,6 +95,7 @@ class Scaffold(Classed):
             rows = np.array([0.0, deep, 2 * deep])
             self._bays(side, np.arange(count + 1) * bay, rows, lifts, rng=rng)
             front = 2 * deep + 0.3
+            # rooms are 4 m deep at least, if need be beyond the world's edge
             self._house(side.at(0.0, front), max(y_m / 2 - lane / 2 - front, 4.0), rng=rng)
         n = 0
         while n < count:
@@ -102,6 +105,7 @@ class Scaffold(Classed):
                 across = parts.at(n * bay, (y_m - lane) / 2)
                 xs = np.arange(min(wide, count - n) + 1) * bay
                 self._bays(across, xs, rows, lifts, rng=rng)
+            # a bay stays open: two bridges side by side would be one
             n += wide + 1
         inside = (0.5, -lane / 2 + 0.5), (x_m - 0.5, lane / 2 - 0.5)
         for x, y in scattered(self.litter_density, x_m * lane, *inside, rng=rng):
@@ -126,11 +130,14 @@ class Scaffold(Classed):
         # planks at each lift, and the sides below it
         for n, m, lift in np.ndindex(len(xs) - 1, len(ys) - 1, lifts):
             (a, b), (c, d), z = xs[n : n + 2].tolist(), ys[m : m + 2].tolist(), lift * LIFT_M
+            # all five for every bay, so that shares do not change other draws
             planked, closed, braced, axis, far = rng.random(5).tolist()
             if planked < self.plank_share:
+                # three planks with gaps, through which rays pass
                 for y in np.linspace(c + 0.05, d - 0.05, 4).tolist()[:-1]:
                     wide = (d - c - 0.1) / 3
                     low = (a, y + 0.02, z + LIFT_M)
+                    # no class is of planks: as in `industrial`, what people walk on is `stairs`
                     parts.box("stairs", low, (b, y + wide - 0.02, z + LIFT_M + 0.05))
             # a side across x or y, on either end
             x, y = (b if far < 0.5 else a), (d if far < 0.5 else c)
@@ -152,9 +159,11 @@ class Scaffold(Classed):
         for level in range(max(int(z_m / storey), 1)):
             z = level * storey
             parts.box("ceiling", (0, 0, z + storey - 0.25), (x_m, deep, z + storey))
+            # solid behind the rooms, which are dead ends
             parts.box("building", (0, back, z), (x_m, deep, z + storey))
             for n in range(rooms):
                 low, high, place, bare = rng.random(4).tolist()
+                # three in ten have no sill: they are doors to the scaffold
                 width, sill = 0.9 + 0.9 * low, 0.9 * (high < 0.7)
                 begin = n * wide + 0.2 + place * (wide - width - 0.4)
                 opening = ((begin, begin + width), (z + sill, z + 2.2))

@@ -91,6 +91,7 @@ class Street(Classed):
         middle = self.size_m[1] / 2
         # one vehicle a stretch has room; two in one lane would meet
         count = max(int((end - begin) / STRETCH_M), 1)
+        # more than half a vehicle's length: those of neighbouring stretches do not meet at the ends
         gap = min(3.0, (end - begin) / 4)
         stretches = [
             np.array([[low + gap, middle - 0.2, 0.0], [high - gap, middle + 0.2, top]])
@@ -116,6 +117,7 @@ class Street(Classed):
         road, pavement = rng.uniform(*self.road_m), rng.uniform(*self.pavement_m)
         for side, yaw in SIDES:
             # x along the street, y from its middle outwards
+            # turned by half, a frame begins at the other end of the street
             frame = parts.at(0.0 if side > 0 else x_m, y_m / 2, 0.0, yaw)
             if self.ground:
                 frame.box("sidewalk", (0, road / 2, 0), (x_m, y_m / 2, 0.14))
