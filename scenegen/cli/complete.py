@@ -170,11 +170,12 @@ def complete(
         info(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks:
-        name = path.stem if path.is_file() else real_path(path).name
+        name = path.stem if path.is_file() else real_path(path).name  # `.` has no name
         out = out or Path(f"{name}.completed")
         options = {"sensor": sensor, "columns": columns, **log_reading}
         identity = {name: str(value) for name, value in options.items() if value is not None}
         identity |= {"source": str(real_path(path)), "weights": completer.digest}
+        # completions of other scans or by another network are refused, not kept as these
         claim(out, COMPLETIONS, identity)
         complete_scans(completer, tasks[0], tasks[1], out, quiet)
         return
@@ -270,6 +271,7 @@ def complete_scans(
             if not intact:
                 try:
                     reports.append(predict_scan(completer, read(), target, name=name))
+                # the next file would fail, too
                 except DiskError:
                     raise
                 except DatasetError as error:

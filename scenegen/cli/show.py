@@ -190,6 +190,7 @@ class Progress:
         self._begun = ExitStack()
 
     def __enter__(self) -> "Progress":
+        # a stop ends the process in its signal handler, where `__exit__` does not run
         self._begun.enter_context(undone_if_stopped(self._leave))
         self._begun.callback(self.stop)
         return self
@@ -218,6 +219,7 @@ class Progress:
         from rich.console import Console
 
         self._bar = progress.Progress(
+            # brackets in the name of a folder are not markup
             progress.TextColumn("{task.description}", markup=False),
             progress.BarColumn(),
             progress.MofNCompleteColumn(),

@@ -88,6 +88,7 @@ def _stop(number: int, frame: object) -> None:
     # further stops must not interrupt the undoing, but it must not take for ever either
     for ignored in STOPS:
         signal.signal(ignored, signal.SIG_IGN)
+    # the kernel's own action: a handler in Python would wait while a library hangs
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(MAX_UNDO_S)
     line = undo_all() or STOPPED

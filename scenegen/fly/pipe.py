@@ -29,6 +29,7 @@ MAX_HANGS = 3
 """Maximum flights in a row in which a robot hangs in `reset`."""
 ENDING_S = 5.0
 """Maximum time that the keeper takes to end a robot, seconds."""
+# counted beyond single robots, since every course makes a robot of its own
 _hangs = Counter[str]()
 """Flights in a row in which each command hung in `reset`."""
 
