@@ -132,6 +132,7 @@ def complete(
         ScenegenError: if the source or the network is missing, damaged, or does not fit, or if the
             disk refuses.
     """
+    # imported here: some of these load torch, which help pages do without
     from scenegen.dataset.collection import open_data
     from scenegen.dataset.locate import locate
     from scenegen.model.completion.completer import Completer
@@ -145,6 +146,7 @@ def complete(
     from scenegen.model.training.device import choose_device
 
     elsewhere = was_given("on") or was_given("workers")
+    # several processes complete on processors, unless the user names another device
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, show_progress=not quiet)

@@ -200,6 +200,7 @@ def world(
         UsageError: Options contradict each other.
         ScenegenError: There is no such robot or world, or the world is too narrow.
     """
+    # imported here: help pages do without NumPy and MuJoCo
     from scenegen.fly.course import Course
 
     # click gives the options of both dataclasses in one dictionary

@@ -96,6 +96,7 @@ def show_columns(
         2 + max(map(len, (head, *cells)))
         for head, *cells in zip(heads, *rows.values(), strict=True)
     ]
+    # a file or a pipe has no width: tables stay whole for other programs
     wide = shutil.get_terminal_size((ENDLESS, 24)).columns
     begin = 0
     while begin < len(heads):

@@ -36,6 +36,7 @@ def is_command() -> bool:
 def answer() -> None:
     """Let a stop end this process from now on."""
     global _owner
+    # forks inherit the handlers: they tell by this whose signal it is
     _owner = os.getpid()
     for number in STOPS:
         signal.signal(number, _stop)
