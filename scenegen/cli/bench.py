@@ -73,6 +73,7 @@ class Weights(click.ParamType):
         """
         word = split_own(value)[1]
         path = Path(word)
+        # a single word without a suffix can only be a bundled network
         if not (word in bundled() or path.suffix or path.exists() or "/" in word):
             self.fail(unknown_network(word), param, ctx)
         return str(value)
@@ -167,6 +168,7 @@ def chosen(
     """
     if not weights and predictions is None:
         return None, ()
+    # these load torch: not without predictions
     from scenegen.model.bench.methods import check_rows, rows_of
     from scenegen.model.bench.shown import guesses
     from scenegen.model.config import BenchConfig
@@ -279,11 +281,13 @@ def bench(
         announce_compilation()
     measured = find_datasets(datasets, show_progress=verbose)
     for name in REPORTS:
+        # now, and not after hours of work
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
     plan = PlanConfig(**{name: options.pop(name) for name in fields_in(PlanConfig, options)})
     config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
     for dataset, method in product(measured if verbose else (), methods):
+        # only networks know what they were trained on
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             info(f"note: {dataset.name}: {warning}")
     with Progress("bench", visible=verbose) as progress:
@@ -298,6 +302,7 @@ def bench(
     command = shlex.join(["scenegen", *sys.argv[1:]])
     facts = {"command": command, "commit": commit(), "split": config.split}
     report = build_report(results, seed=config.seed, about=facts)
+    # NaN is not JSON: other programs could not read the report
     write_result(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
@@ -412,6 +417,7 @@ def calibrate(
     plain = split_own(weights)[1]
     elsewhere = plain in bundled() or plain.startswith(HUB)
     if out is None and elsewhere:
+        # `out_option` checks only a name that the user gave
         out = Path(f"{called(weights, path)}.safetensors")
         check_ours(out)
     out = out or path

@@ -109,9 +109,10 @@ def run_command(app: Any) -> NoReturn:
     # no Python that a library starts imports files of the working folder
     os.environ["PYTHONSAFEPATH"] = "1"
     _open_streams()
-    if not sys.warnoptions:
+    if not sys.warnoptions:  # a user's own -W counts
         warnings.simplefilter("ignore")  # libraries warn their own authors
     try:
+        # not standalone, in which click prints errors and ends the process itself
         code, line = app.main(prog_name="scenegen", standalone_mode=False) or 0, ""
     except (Exception, KeyboardInterrupt) as error:
         code, line = _end(error)
@@ -163,8 +164,9 @@ def _open_streams() -> None:
             os.fstat(number)
         # a closed stream: the next file that is opened would get its number, and our output
         except OSError:
-            os.open(os.devnull, os.O_RDONLY)
+            os.open(os.devnull, os.O_RDONLY)  # to write to it fails, so that lost output is noticed
         stream: TextIO | None = getattr(sys, name)
+        # a stream that somebody has put in its place stays
         if number and (stream is None or stream is getattr(sys, f"__{name}__")):
             file = io.BufferedWriter(_Forgiving(number, "w", closefd=False))
             encoding = stream.encoding if stream else "utf-8"
@@ -175,7 +177,7 @@ def _open_streams() -> None:
 def _lost_output() -> OSError | None:
     """Return the error for which output was lost, or None. A reader that has closed the pipe, such
     as `head`, is no error."""
-    sys.stdout.flush()
+    sys.stdout.flush()  # what is still buffered may be lost, too
     trouble = _Forgiving.trouble.get(1)
     return None if isinstance(trouble, BrokenPipeError) else trouble
 

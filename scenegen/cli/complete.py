@@ -132,6 +132,7 @@ def complete(
         ScenegenError: if the source or the network is missing, damaged, or does not fit, or if the
             disk refuses.
     """
+    # imported here: some of these load torch, which help pages do without
     from scenegen.dataset.collection import open_data
     from scenegen.dataset.locate import locate
     from scenegen.model.completion.completer import Completer
@@ -145,6 +146,7 @@ def complete(
     from scenegen.model.training.device import choose_device
 
     elsewhere = was_given("on") or was_given("workers")
+    # several processes complete on processors, unless the user names another device
     device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
     path = locate(source, show_progress=not quiet)
@@ -170,11 +172,12 @@ def complete(
         info(tasks[2])
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks:
-        name = path.stem if path.is_file() else real_path(path).name
+        name = path.stem if path.is_file() else real_path(path).name  # `.` has no name
         out = out or Path(f"{name}.completed")
         options = {"sensor": sensor, "columns": columns, **log_reading}
         identity = {name: str(value) for name, value in options.items() if value is not None}
         identity |= {"source": str(real_path(path)), "weights": completer.digest}
+        # completions of other scans or by another network are refused, not kept as these
         claim(out, COMPLETIONS, identity)
         complete_scans(completer, tasks[0], tasks[1], out, quiet)
         return
@@ -270,6 +273,7 @@ def complete_scans(
             if not intact:
                 try:
                     reports.append(predict_scan(completer, read(), target, name=name))
+                # the next file would fail, too
                 except DiskError:
                     raise
                 except DatasetError as error:

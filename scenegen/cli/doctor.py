@@ -97,6 +97,7 @@ def _loads(module: str) -> str:
     """Return "loads" if a module can be imported, else the reason."""
     try:
         importlib.import_module(module)
+    # an installed module may lack a library of the system, which raises either
     except (ImportError, OSError) as error:
         return printable(error)
     return "loads"

@@ -200,6 +200,7 @@ def world(
         UsageError: Options contradict each other.
         ScenegenError: There is no such robot or world, or the world is too narrow.
     """
+    # imported here: help pages do without NumPy and MuJoCo
     from scenegen.fly.course import Course
 
     # click gives the options of both dataclasses in one dictionary
@@ -304,6 +305,7 @@ def _fly(
     if drawing["picture"]:
         from scenegen.worlds.world import solid
 
+        # a map has no solids to draw: refused before the flights
         solid(first.drawn, first.world)
     with Progress("fly", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
@@ -352,7 +354,7 @@ def _begin(
             "completes only the last scan, or --robot sampling, which plans by RRT*"
         )
     if log is not None:
-        check_free(log)
+        check_free(log)  # before the flights: a log is never replaced
     check_together(execute, "a row of flights takes")
     if verbose:
         announce_compilation()
@@ -469,7 +471,7 @@ def _show(
         differing: Flights that differ from recorded ones; errors of the robot are printed.
         hidden: Number of the hidden track, or None.
         crew: Runs work on the cores, for the difficulties of the courses.
-        tell: Prints the result as JSON if the user wants that.
+        report_result: Prints the result as JSON if the user wants that.
         files: Files written so far.
         picture: File of the picture, or None.
         film: File of the film, or None.
@@ -509,6 +511,7 @@ def _show(
         write_log(log, log_of(course, 0, ways[0]))
     flights = [flight for _, several in flown for flight in several]
     row = {**summary(name, flights), **notes}
+    # a function, since grading courses takes time, and only --json shows it
     if report_result(lambda: row | {"flights": rows_of(flown, hidden, crew)}):
         show_table(row)
         for trouble in sorted({flight.trouble for flight in [*flights, *differing]} - {""}):

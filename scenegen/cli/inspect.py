@@ -321,6 +321,7 @@ def view(
     from scenegen.view.page import Live
 
     samples, index = len(opened[0].split(split)), indices[0] if indices else 0
+    # an empty split is served, too: 0 is also the default
     if index >= max(samples, 1):
         raise click.UsageError(f"--index {index}: its {split} split has {samples} samples")
     for part in opened:
@@ -344,6 +345,7 @@ def _show_path(
     from scenegen.view.page import PageServer
 
     page = page_of(str(path), **options)
+    # several samples may have the same note
     for line in dict.fromkeys(line for look in page.looks for line in look.missing):
         info(line)
     if out is None:

@@ -86,6 +86,7 @@ datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 def workers_by(default: str) -> Decorator:
     """Make the option --workers, whose default is all cores; help pages show `default` for it."""
     kind = click.IntRange(1, MAX_WORKERS)
+    # the default is a function: cores are counted when a command runs, not when this is imported
     return click.option(
         "--workers", type=kind, default=cores, show_default=default, help="Processes."
     )
@@ -136,10 +137,11 @@ kind_option = click.option(
 def printing(function: Callable[..., Any]) -> Any:
     """Add --json and --quiet below all other options.
 
-    The command gets `talk`, whether to print for people, and `tell`, to call with its result; see
-    `scenegen.cli.show.Tell`.
+    The command gets `verbose`, whether to print for people, and `report_result`, to call with its
+    result; see `scenegen.cli.show.Reporter`.
     """
 
+    # `wraps` also keeps the options and the help page, which click reads from the function
     @json_option
     @quiet_option
     @wraps(function)

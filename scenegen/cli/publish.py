@@ -78,6 +78,7 @@ def publish(
     """
     if verbose:
         announce_compilation()
+    # after the announcement, since these imports may take seconds
     from scenegen.base.executors import check_together
     from scenegen.base.paths import check_type
     from scenegen.dataset.locate import locate

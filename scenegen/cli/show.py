@@ -96,6 +96,7 @@ def show_columns(
         2 + max(map(len, (head, *cells)))
         for head, *cells in zip(heads, *rows.values(), strict=True)
     ]
+    # a file or a pipe has no width: tables stay whole for other programs
     wide = shutil.get_terminal_size((ENDLESS, 24)).columns
     begin = 0
     while begin < len(heads):
@@ -190,6 +191,7 @@ class Progress:
         self._begun = ExitStack()
 
     def __enter__(self) -> "Progress":
+        # a stop ends the process in its signal handler, where `__exit__` does not run
         self._begun.enter_context(undone_if_stopped(self._leave))
         self._begun.callback(self.stop)
         return self
@@ -218,6 +220,7 @@ class Progress:
         from rich.console import Console
 
         self._bar = progress.Progress(
+            # brackets in the name of a folder are not markup
             progress.TextColumn("{task.description}", markup=False),
             progress.BarColumn(),
             progress.MofNCompleteColumn(),

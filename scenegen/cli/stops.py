@@ -36,6 +36,7 @@ def is_command() -> bool:
 def answer() -> None:
     """Let a stop end this process from now on."""
     global _owner
+    # forks inherit the handlers: they tell by this whose signal it is
     _owner = os.getpid()
     for number in STOPS:
         signal.signal(number, _stop)
@@ -88,6 +89,7 @@ def _stop(number: int, frame: object) -> None:
     # further stops must not interrupt the undoing, but it must not take for ever either
     for ignored in STOPS:
         signal.signal(ignored, signal.SIG_IGN)
+    # the kernel's own action: a handler in Python would wait while a library hangs
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(MAX_UNDO_S)
     line = undo_all() or STOPPED

@@ -92,6 +92,7 @@ def take(
             f"{source.name}: no sample fulfils the conditions ({str(choice) or 'any'}); change them"
             f"{hint}"
         )
+    # paths in the file are relative to its own folder
     write_result(out, encode_selection(source, numbers, choice, out.parent))
     if report_result({"selection": str(out), "samples": counts}):
         show_table({"selection": out, "samples": per_split(counts)})

@@ -260,6 +260,7 @@ def train(
     if weights is not None:
         _take_settings(weights, options)
     with reraise_as(click.UsageError):
+        # a protocol replaces defaults, not what the user gave
         options |= {
             name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
         }
@@ -366,6 +367,7 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
         name: value for name, value in loss.items() if name not in options or not was_given(name)
     }
     trusted, plain = split_own(weights)
+    # a stranger's file may name code as its loss, which would be imported
     check_own(plain, trusted, loss.get("objective", ""))
     options |= vars(network.config) | loss
 

@@ -233,6 +233,7 @@ def read_range(text: str) -> tuple[int, int]:
         ValueError: It is not such a range, or an empty one.
     """
     first, _, stop = text.partition(":")
+    # `int` alone would also take signs, blanks and 1_5
     if not (first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
         expected = "is not FIRST:STOP with FIRST < STOP, such as 0:8"
         raise ValueError(f"{text[:MAX_REPEATED]!r} {expected}")

@@ -56,6 +56,7 @@ def verify(dataset: Path | str, report_result: Reporter, verbose: bool, **option
     """
     if verbose:
         announce_compilation()
+    # after the announcement, since this import may take seconds
     from scenegen.verification import verify as prove
 
     begin = time.perf_counter()

@@ -86,6 +86,7 @@ def convert(
         "format": to,
         "choices": asdict(choices),
         "digest": dataset.digest,
+        # an incomplete dataset has no digest yet: its shards tell its state
         "shards": [
             shard.sha256
             for manifest in manifests
@@ -150,6 +151,7 @@ def _write(dataset: AnyDataset, out: Path, form: Any, rows: Rows) -> tuple[Rows,
         for number in numbers:
             try:
                 sample = samples[number]
+                # what can be read may still differ from its digest
                 samples.check(number)
                 if together:
                     copy(

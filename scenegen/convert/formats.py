@@ -273,6 +273,7 @@ class SemanticKitti(Classed):
         if sample.known is not None:
             invalid |= ~sample.known
         bits, *masks = (np.packbits(mask).tobytes() for mask in (observed, invalid, unseen))
+        # in the order of `names`
         return bits, labels.tobytes(), *masks
 
 
@@ -351,6 +352,7 @@ class OctoMap(OneEach):
             )
         state = np.where(sample.observed[tuple(known.T)], OCCUPIED, FREE)
         nodes, tree = _tree(keys, state)
+        # 17 digits restore every bit of the float
         header = f"id OcTree\nsize {nodes}\nres {grid.voxel_m:.17g}\ndata\n"
         return f"# Octomap OcTree binary file\n{header}".encode() + tree
 
@@ -376,6 +378,7 @@ def _tree(keys: Ints, state: Ints) -> tuple[int, bytes]:
     for depth in reversed(range(DEPTH)):
         parents, parent_of = np.unique(codes >> 3, return_inverse=True)
         word = np.zeros(len(parents), np.uint16)
+        # `at`, since several children have the same parent
         np.bitwise_or.at(word, parent_of, (state << (2 * (codes & 7))).astype(np.uint16))
         # depth first: by the first leaf that may lie below, and then by the depth
         places.append((parents << (3 * (DEPTH - depth))) * DEPTH + depth)

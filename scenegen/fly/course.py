@@ -97,6 +97,7 @@ class Course(Checked):
         """
         try:
             tables: Any = json.loads(self.recipe or "{}")
+        # a stranger's JSON may be nested too deeply
         except (ValueError, RecursionError):
             tables = None
         # [lidar] could name a stranger's module, which would be imported
@@ -245,6 +246,7 @@ def read_recording(path: Path) -> Recording:
             courses.append((course, flights))
         if not courses:
             raise ValueError("without flights")
+        # a stranger's words, which are printed and stand on pages
         names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
         suite, whole = text["suite"], bool(text.get("complete"))
         return Recording(suite=suite and printable(suite), complete=whole, courses=courses, **names)
@@ -265,7 +267,7 @@ def _flown(row: Json) -> Flown:
     if not np.isfinite(commands).all():
         raise ValueError("commands that are not finite")
     # a flight ends within its last period
-    if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
+    if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:  # 1e-6: rounding
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
     return replace(flown, commands=commands)
 
@@ -316,6 +318,7 @@ def compared(
     if simulation.outcome is None:
         # a recording cannot claim a success that the simulation did not see
         simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
+    # times and counts of answers are not flown again: `CLAIMED` is copied below
     again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
     if faults := unlike(flown, again):
         raise DatasetError(
@@ -339,6 +342,7 @@ def flown_again(
         The robot's observation before each command is flown; {} if `blind`.
     """
     for command in flown.commands:
+        # a forged recording may hold commands that no vehicle can follow
         commands, exceeds = bounded(command, simulation.vehicle)
         if simulation.outcome is not None or commands is None or exceeds:
             return
@@ -360,6 +364,7 @@ def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     simulation = course.simulation(number)
     sensor = simulation.sensor
     arm = mounted(sensor, Pose.level((0.0, 0.0, 0.0), 0.0)).position
+    # without `moving`, all rays are cast when the scan begins
     times = (sensor.times_s * course.moving).astype(np.float32)
     for seen in flown_again(simulation, flown):
         hit = np.isfinite(seen["ranges"])

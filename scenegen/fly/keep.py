@@ -35,7 +35,9 @@ def main() -> None:
     read_end, write_end = os.pipe()
     robot = os.fork()
     if not robot:
+        # until it executes the command, the child has the keeper's handler
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        # children do not inherit this setting: without it, the robot would survive its keeper
         prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
         # address space, not resident memory, which Linux cannot limit so
         resource.setrlimit(resource.RLIMIT_AS, (int(memory_bytes), int(memory_bytes)))
@@ -50,12 +52,14 @@ def main() -> None:
     listener = threading.Thread(target=_pass_on, args=(read_end,), daemon=True)
     listener.start()
     try:
+        # orphans of the robot end here, too: only its own end counts
         while os.wait()[0] != robot:
             pass
     finally:
+        # a second SIGTERM must not end this before all are killed
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         _end_children()
-        listener.join(1)
+        listener.join(1)  # what is in the pipe is passed on, for a second at most
 
 
 def _pass_on(read_end: int) -> None:
@@ -73,6 +77,7 @@ def _end_children() -> None:
     while True:
         for stat in Path("/proc").glob("[0-9]*/stat"):
             try:
+                # the second field is a name in parentheses, which may hold blanks and parentheses
                 parent = int(stat.read_text(errors="replace").rpartition(")")[2].split()[1])
                 if parent == me:
                     os.kill(int(stat.parent.name), signal.SIGKILL)

@@ -127,6 +127,7 @@ def fly(simulation: Simulation, robot: Robot) -> Flown:
     try:
         _call(robot.reset, simulation.about())
         while simulation.outcome is None:
+            # the clock begins after the scan, which is not the robot's work
             seen, begin = simulation.observe(), time.perf_counter()
             action = _call(robot.act, seen)
             times.append(time.perf_counter() - begin)
@@ -148,7 +149,7 @@ def _call(method: Any, observation: Observation) -> Any:
         return method(observation)
     except RobotError:
         raise
-    except Exception as error:
+    except Exception as error:  # a user's own code may raise anything
         raise RobotError("crashed", f"{type(error).__name__}: {error}"[:200]) from error
 
 
@@ -184,6 +185,7 @@ def scored(
         blocked=not simulation.world.clearance.motion_is_free(
             mission.start, mission.goal, radius_m
         ),
+        # a success ends within `reach_m`, where some way is left
         progress=1.0 if success else progress(simulation.world, mission, radius_m, end),
         **marks(success, time_s, measured["flown_m"], shortest, best_s),
         step_s=float(np.mean(times)) if times else 0.0,
@@ -193,6 +195,7 @@ def scored(
         speeding=counts["speeding"],
         digest=simulation.digest,
         trouble=trouble,
+        # the shape (0, 4) if the robot failed before its first command
         commands=np.array(commands, np.float32).reshape(-1, 4),
         path=np.array([states[-1, :3] for states in simulation.states]),
         **measured,

@@ -150,6 +150,7 @@ def progress(world: AnyWorld, mission: Mission, radius_m: float, end: Point) -> 
         From 0 to 1; 0 if no way leads on to the goal.
     """
     room = _room(world, np.array(mission.bounds), radius_m)
+    # a flight may have ended beyond the bounds
     inside = np.clip(end, *room.bounds)
     start, goal, last = room.grid.index(
         np.array([mission.start, mission.goal, inside]), room.origin
@@ -165,6 +166,7 @@ def progress(world: AnyWorld, mission: Mission, radius_m: float, end: Point) -> 
     lengths = [
         float(np.sqrt((np.diff(way, axis=0) ** 2).sum(axis=1)).sum()) for way in (whole, left)
     ]
+    # at least a voxel, since start and goal may lie in the same one
     return min(max(1 - lengths[1] / max(lengths[0], 1.0), 0.0), 1.0)
 
 
@@ -210,8 +212,10 @@ def _draw(
     tries = TRIES[type(world)] * (DETOUR_TRIES if rules.detour > 1 else 1)
     for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (tries, 2, 3)):
         voxels = room.grid.index(pair, room.origin)
+        # centres of voxels, where the way found by A* begins and ends
         start, goal = room.origin + (voxels + 0.5) * VOXEL_M
         if (
+            # cheap tests come first: most pairs fail, and the search for a way is slow
             math.dist(start, goal) < apart
             or room.blocked[tuple(voxels.T)].any()
             or min(clearance.at(*start), clearance.at(*goal)) < spare

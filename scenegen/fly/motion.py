@@ -30,6 +30,7 @@ POSITION, VELOCITY, ACCELERATION, HEADING = slice(0, 3), slice(3, 6), slice(6, 9
 
 def max_pull(vehicle: Vehicle) -> float:
     """Return the maximum acceleration by both bounds, m/s²: its own, and that of the tilt."""
+    # `math.sin` has other bits on other processors
     sine = float(sin_cos(math.radians(vehicle.tilt_deg))[0])
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
 
@@ -164,6 +165,7 @@ class Quadrotor:
         self._data = mujoco.MjData(self._model)
         level = Pose.facing(state[POSITION], state[HEADING])
         self._data.qpos[:] = *level.position, *level.quaternion
+        # rotors lag: if they began at rest, the vehicle would drop
         self._data.act[:] = MASS_KG * GRAVITY / len(SIGNS)
         # from total thrust and three torques to the thrust of each rotor
         forces = np.column_stack([np.ones(4), SIGNS[:, 1], -SIGNS[:, 0], SIGNS[:, 2]])
@@ -172,6 +174,7 @@ class Quadrotor:
     @property
     def pose(self) -> Pose:
         """The body's pose now."""
+        # copies, since MuJoCo overwrites its arrays at every step
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
     def advance(self, command: Command, steps: int = STEPS) -> Floats:

@@ -29,6 +29,7 @@ MAX_HANGS = 3
 """Maximum flights in a row in which a robot hangs in `reset`."""
 ENDING_S = 5.0
 """Maximum time that the keeper takes to end a robot, seconds."""
+# counted beyond single robots, since every course makes a robot of its own
 _hangs = Counter[str]()
 """Flights in a row in which each command hung in `reset`."""
 
@@ -94,9 +95,11 @@ class PipeRobot:
         # workers that start together have consecutive ids, and so different cores
         limits = (self.memory_bytes, cores[os.getpid() % len(cores)])
         process = subprocess.Popen(
+            # without `site` it starts faster; isolated, it imports nothing of the working folder
             [sys.executable, "-I", "-S", KEEPER, *map(str, limits), *self.command],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            # a process group of its own, which `close` can kill
             start_new_session=True,
             # one core, one thread: more would only wait for one another
             env=os.environ | {"OMP_NUM_THREADS": "1"},
@@ -165,5 +168,6 @@ class PipeRobot:
 def own_robot(name: str) -> PipeRobot:
     """Return a user's own robot: ``module:Class``, run by this Python, or a command."""
     served = [sys.executable, "-m", "scenegen.fly.serve", name]
+    # module:Class has neither blanks nor slashes
     command = shlex.split(name) if " " in name or "/" in name else served
     return PipeRobot(command)

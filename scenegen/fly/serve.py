@@ -51,6 +51,7 @@ def decoded(pipe: IO[bytes]) -> tuple[str, dict[str, NDArray[Any]]] | None:
     for name, kind, shape in header["arrays"]:
         count = int(np.prod(shape, dtype=np.int64))
         content = pipe.read(count * np.dtype(kind).itemsize)
+        # copied: an array over bytes is read-only, and the robot may change its own
         arrays[name] = np.frombuffer(content, kind).reshape(shape).copy()
     return str(header["is"]), arrays
 

@@ -124,6 +124,7 @@ class Simulation:
         east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
         length = math.sqrt(east * east + north * north)
         # the vehicle starts facing its goal
+        # a goal straight above or below has no direction
         facing = (east / length, north / length) if length else (1.0, 0.0)
         self.state = np.array([*mission.start, *([0.0] * 6), *facing])
         self.time_s, self.periods = 0.0, 0
@@ -136,8 +137,10 @@ class Simulation:
         by_mujoco = self.vehicle.dynamics == "mujoco"
         self._body = Quadrotor(self.state, self.vehicle) if by_mujoco else None
         # steps that decisions are late, and the last commands, latest first
+        # less 1e-9: rounding must not add a step to a whole number of them
         late = math.ceil(self.rules.latency_s / STEP_S - 1e-9)
         self._late_periods, self._late_steps = divmod(late, STEPS)
+        # two more than whole periods: a period begins by one command and ends by the next
         hover = [np.zeros(4, np.float32)] * (self._late_periods + 2)
         self._commands = deque(hover, maxlen=len(hover))
         drifts = self.rules.drift_m or self.rules.drift_deg
@@ -183,6 +186,7 @@ class Simulation:
             "max_range_m": self.sensor.max_range_m,
             "directions_body": self.sensor.directions_body,
             "times_s": self.sensor.times_s,
+            # a sensor of a user's own may have none
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
         # `dynamics` is not a number, and a real robot would not know it
@@ -214,6 +218,7 @@ class Simulation:
             chain = in_motion(pace, chain)
         # a ray that is cast at its own time meets movers at that time
         times_s = self.time_s + (self.sensor.times_s if self.moving else 0.0)
+        # by the period: noise does not depend on which earlier scans were cast
         seed = [self.seed, self.periods]
         seen = scan_world(self.world, self.sensor, pose, chain, seed=seed, time_s=times_s)
         ranges = seen.ranges[0].astype(np.float32)
@@ -229,6 +234,7 @@ class Simulation:
             velocity = self._odometry.turned(velocity)
         scan = {
             "ranges": ranges,
+            # copies, which are the robot's to change
             "position": pose.position.copy(),
             "quaternion": pose.quaternion.copy(),
             "time_s": np.array([self.time_s]),
@@ -313,8 +319,10 @@ class Simulation:
             self._odometry.move(states[flown - 1, POSITION] - self.state[POSITION])
         self.state = states[flown - 1]
         self.periods += 1
+        # from whole counts, so that rounding errors do not add up
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S
         prize = 0.0 if self.outcome is None else PRIZE if self.outcome == "success" else -PRIZE
+        # after the prize, since a timeout costs nothing
         if self.outcome is None and self.time_s >= self.most_s:
             self.outcome = "timeout"
         return before_m - self._left_m() + prize
@@ -354,6 +362,7 @@ class Simulation:
         jerk = np.diff(states[:, ACCELERATION], axis=0) / STEP_S
         return {
             "flown_m": flown,
+            # a robot may fail before its first step
             "speed_mps": flown / max(self.time_s, STEP_S),
             "min_clearance_m": min(self.clearances_m),
             "mean_clearance_m": float(np.mean(self.clearances_m)),

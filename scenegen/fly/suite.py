@@ -128,6 +128,7 @@ class Part:
     """Number of courses of the track; with `quick`, of the part that `--quick` takes."""
 
     def __str__(self) -> str:
+        # of a hidden track's hash, seven digits are enough for people
         text = f"{self.track[:14]}{', quick' * self.quick}: {self.there} of {self.of} courses"
         return text if self.there == self.of else f"{text}, incomplete"
 
@@ -251,6 +252,7 @@ def place_courses(folder: Path | None) -> list[Course]:
     """
     courses, places = [], frozen().get("places", {})
     for (name, document), seed in product(places.items(), range(PLACE_COURSES)):
+        # of several copies, the same one in every run
         file = Path(name) if folder is None else min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
@@ -287,6 +289,7 @@ def hidden_course(course: Course, hidden: int) -> Course:
     digest = hashlib.sha256(f"aerial hidden {hidden}".encode()).digest()
     rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
     firsts = [int(rng.integers(1 << 63)) for _ in range(course.seed + 1)]
+    # without its hash: `fitting` would take the wrong world for one that is too narrow
     drawn = next(fitting(replace(course, document=""), firsts[-1]))
     check_document(drawn.sha256, course)
     return drawn
@@ -308,6 +311,7 @@ def fitting(course: Course, first: int) -> Iterator[Course]:
             missions = drawn.missions
         except GenerationError:  # too narrow
             continue
+        # `draw_missions` may have taken pairs half or a quarter as far apart
         if all(mission.straight_m >= course.rules.apart_m for mission in missions):
             yield drawn
 

@@ -168,6 +168,7 @@ class Unit:
             self.model,
             name=f"{self.model.name or 'spinning'}-unit",
             source=f"{len(self.beams)} beams as measured, the rest as {self.model.name}",
+            # what the catalogue claims of its figures holds for the model only
             checked="",
             error="",
             elevations_deg=tuple(elevations.round(4).tolist()),
@@ -209,6 +210,7 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     # rays by scan, channel and azimuth; of several returns of a ray, one
     order = np.concatenate(groups)
     channels = np.repeat(np.arange(len(groups)), [len(rows) for rows in groups])
+    # 1000 is more than azimuths span, so rays of two channels never lie within one step
     keys = 1000.0 * (len(groups) * scans[order] + channels) + azimuth[order]
     sorted_keys = np.argsort(keys)
     first = sorted_keys[np.append(True, np.diff(keys[sorted_keys]) >= SAME_DEG)]
@@ -216,6 +218,7 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     points, ranges, azimuth = points[order], all_ranges[order], azimuth[order]
     steps = np.array([_step(gaps[channels[1:] == n]) for n in range(len(groups))])
     turns = gaps / steps[channels[1:]]
+    # over wide gaps, the error of a step adds up
     near = turns[turns < 10]
     is_even = np.mean(np.abs(near - np.rint(near)) < 0.25) >= MIN_GRID
     step = steps[np.bincount(channels).argmax()]
@@ -248,6 +251,7 @@ def _returns(clouds: Sequence[Cloud]) -> tuple[Floats, Ints, Floats | None]:
 def _split(elevation: Floats, rings: Floats | None) -> list[Ints]:
     """Return which returns (N,) each channel has: those with one number, or else between two gaps
     of elevation; without those of channels with very few."""
+    # rings are whole numbers: half a step parts them
     values, least = (elevation, SPLIT_DEG) if rings is None else (rings, 0.5)
     order = np.argsort(values)
     groups = np.split(order, np.flatnonzero(np.diff(values[order]) > least) + 1)
@@ -268,6 +272,7 @@ def _elevation(elevation: Floats, ranges: Floats) -> float:
     centre."""
     nearness = 1.0 / ranges
     beside = nearness - nearness.mean()
+    # all ranges may be equal: the variance must not be 0
     variance = (beside**2).mean() + 1e-12
     slope = (elevation * beside).mean() / variance
     # the more scatter hides it, the nearer c is to 0 (ridge regression)
@@ -278,6 +283,7 @@ def _elevation(elevation: Floats, ranges: Floats) -> float:
 
 def _quantum(ranges: Floats) -> float:
     """Return the largest step of which ranges are multiples, metres, or 0."""
+    # some 20,000 ranges: each is tried with 40 steps, and all would take much memory
     phases = 2j * math.pi * ranges[:: len(ranges) // 20_000 + 1, None] / STEPS_M
     is_step = np.abs(np.exp(phases).mean(axis=0)) >= MIN_COHERENCE
     return round(float(STEPS_M[is_step].max(initial=0.0)), 4)
@@ -304,6 +310,7 @@ def _beams(elevations: Floats, quantum_m: float, sensor: Spinning) -> Ints:
             f"{sensor.name}"
         )
     if MIN_SHARE * len(modelled) <= len(elevations) <= len(modelled):
+        # assigned, so that no beam is taken for two channels
         beams = linear_sum_assignment((elevations[:, None] - modelled) ** 2)[1]
         off = np.abs(elevations - modelled[beams])
         if np.median(off) <= MAX_OFF_DEG and off.max() <= MAX_WORST_DEG:
@@ -324,6 +331,7 @@ def _adapted(sensor: Spinning, columns: int, ranges: Floats) -> Spinning:
     paced = sensor.firing_cycle_s or sensor.firing_times_s
     return replace(
         sensor,
+        # a `Spinning` has columns or a firing cycle, not both
         columns=0 if sensor.firing_cycle_s else columns,
         rate_hz=1 / (columns * sensor.cycle_s) if paced else sensor.rate_hz,
         min_range_m=min(sensor.min_range_m, round(ranges.min(), 4)),
@@ -344,7 +352,7 @@ def _azimuths(
         means.append(np.exp(2j * math.pi * far / step).mean())
     off = np.angle(means) / (2 * math.pi) * step - modelled
     off = (off - off[np.abs(means).argmax()] + step / 2) % step - step / 2
-    return np.where(np.abs(means) > 0.5, off, 0.0)
+    return np.where(np.abs(means) > 0.5, off, 0.0)  # phases without a grid cancel
 
 
 def _planes(points: Floats, places: Floats, steps: Floats) -> Floats:
@@ -360,20 +368,23 @@ def _planes(points: Floats, places: Floats, steps: Floats) -> Floats:
     passed = np.append(np.where(is_gap, 0.0, steps), 0.0)
     counts = np.stack([np.maximum(passed - 1.0, 0.0), passed], axis=1)
     seeds = np.arange(0, len(ranges), len(ranges) // MAX_PLANES + 1)
+    # 1.01: neighbours at a distance of 1 count, however they are rounded; sorted, so that residuals
+    # beside one another are of neighbouring rays
     patches = cKDTree(places).query_ball_point(places[seeds], 1.01, p=math.inf, return_sorted=True)
     directions, planes = points / ranges[:, None], []
     for seed, patch in zip(seeds, patches, strict=True):
+        # with two channels, any slope across them would fit
         if len(patch) < MIN_PATCH or np.ptp(places[patch, 0]) < 2:
             continue
         r, d = ranges[patch], directions[patch]
         # on a plane, 1 / r is linear in the direction; times r², residuals are metres
         normal = np.linalg.lstsq(d * r[:, None] ** 2, r, rcond=None)[0]
         residuals = r - r**2 * (d @ normal)
-        variance = (residuals**2).sum() / (len(r) - 3)
+        variance = (residuals**2).sum() / (len(r) - 3)  # a plane has three parameters
         is_white = (np.diff(residuals) ** 2).mean() / 2 > WHITE * variance
         if is_white and variance < ROUGH_M**2:
             cosine = abs(directions[seed] @ normal) / np.linalg.norm(normal)
-            angle = math.degrees(math.acos(min(1.0, cosine)))
+            angle = math.degrees(math.acos(min(1.0, cosine)))  # rounding may exceed 1
             planes.append((ranges[seed], angle, math.sqrt(variance), *counts[patch].sum(axis=0)))
     return np.array(planes).reshape(-1, 5)
 

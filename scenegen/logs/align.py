@@ -243,5 +243,5 @@ class _Matcher:
 
 def _facing(normals: Floats) -> float:
     """Share of unit normals (n, 3) within 45° of the direction that the fewest face."""
-    weakest = np.linalg.eigh(normals.T @ normals)[1][:, 0]
+    weakest = np.linalg.eigh(normals.T @ normals)[1][:, 0]  # eigenvalues ascend
     return float((np.abs(normals @ weakest) > math.sqrt(0.5)).mean())

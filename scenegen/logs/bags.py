@@ -161,6 +161,7 @@ class Recording:
         # with a sequence number of four bytes, and is always little-endian
         order = "<" if self._first or data[1] & 1 else ">"
         whole, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
+        # strings of ROS 2 end with a zero byte
         frame = data[16 : 16 + length].rstrip(b"\0").decode()
         return whole + 1e-9 * fraction, frame, order, 16 + length
 
@@ -191,6 +192,7 @@ def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
     if not packed:  # CDR aligns after its own four bytes
         start = 4 + -(-(start - 4) // 8) * 8
     promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
+    # in CDR, the next point's time is aligned to four bytes
     step = LIVOX_BYTES if packed else LIVOX_BYTES + 1
     content = data[start + 20 :]
     complete = (len(content) + step - LIVOX_BYTES) // step
@@ -232,6 +234,7 @@ def _of_cloud(cloud: Any) -> Cloud:
             f"promises {' × '.join(map(str, shape))} points of {point_bytes} bytes in rows of "
             f"{row_bytes}, and holds {held}; expected points of {min_bytes} or more"
         )
+    # by strides, since points and rows may have gaps between them
     strides = row_bytes, point_bytes
     rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
     return _of_rows(rows, " ".join(fields))

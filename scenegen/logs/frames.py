@@ -55,6 +55,7 @@ class Links:
             fixed: Name of the frame that poses are in; it also decides between several parents of
                 a frame. None: the root of the tree.
         """
+        # frames of ROS 1 may be written with a slash in front, those of tf2 are not
         self._fixed = fixed and fixed.lstrip("/")
         self._rows = defaultdict[str, dict[Source, Parents]](dict)
 

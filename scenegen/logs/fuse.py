@@ -139,6 +139,7 @@ class _Run:
             (folder / "observations").mkdir(parents=True)
             rows = zip(log.times_s.tolist(), log.poses, strict=True)
             write_tum(folder / "poses.tum", rows)
+            # at once: after a kill, a folder without this file would be refused
             self._save()
         self._saved_s = time.monotonic()
         self._scans = log.scans(self._scan)
@@ -233,8 +234,10 @@ class _Run:
                 write_atomic(observations[n], encode_npz(observation), sync=False)
             self._scan = n + 1
             self._on_done(1)
+            # after the last scan, `write` saves, once the map is written
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
+        # `_settle` replaces these counts in place, and the next map begins without any
         self._counts = NOTHING
         self.report.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
         low, high = box_of(hits, lambda layer: layer != UNKNOWN)
@@ -264,6 +267,7 @@ class _Run:
                     broken = error
                     break
                 waiting.append((scan, pool.submit(_window, scan, pace, self._how)))
+                # few scans ahead, since each window takes memory
                 if len(waiting) > 2 * THREADS:
                     ready, window = waiting.popleft()
                     yield ready, window.result()
@@ -321,6 +325,7 @@ def in_world(
     # the sensor moves while it scans: points of a slice of that time are seen from one pose
     slices = np.zeros(len(points), np.int64)
     if how.deskew and "t" in scan.more and seconds > 0:
+        # negative for points before the stamp
         shares = np.clip(scan.more["t"][usable] / seconds, -1.0, 1.0)
         slices = np.minimum(np.floor(shares * SLICES), SLICES - 1).astype(np.int64)
     sensors = dict[int, Floats]()
@@ -348,6 +353,7 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     for number, sensor in sensors.items():
         inside = slices == number
         sort_points(sensor, points[inside], grid, seen.origin, reach_m=how.reach_m, into=seen)
+    # rays of other slices may have crossed voxels with a return
     seen.free[seen.observed] = False
     return first, seen, points - center
 

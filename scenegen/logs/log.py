@@ -155,6 +155,7 @@ def span(times_s: Floats) -> str:
 
 def period_s(times_s: Floats) -> float:
     """Return the median time between scans, seconds; NaN if no time is after another."""
+    # messages may come twice or late: such steps are no period
     steps = np.diff(times_s)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else math.nan
 

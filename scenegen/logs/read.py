@@ -181,6 +181,7 @@ def _by_frames(contents: Contents) -> tuple[list[Pose | None], Floats, str, str]
     poses = [pose_at(chain, time) for time in contents.stamps_s.tolist()]
     topics = dict.fromkeys(link.topic for link in chain)
     timed = [link.track.times_s for link in chain if link.track.is_timed]
+    # the chain is known only while all of its links are
     first = max((times[0] for times in timed), default=np.nan)
     posed_s = np.array([first, min((times[-1] for times in timed), default=np.nan)])
     words = f"poses in {chain[-1].parent} by {' and '.join(topics)}", ", ".join(map(str, chain))

@@ -119,6 +119,7 @@ def _times(curve: Floats, cruise: Cruise) -> Floats:
     pull = np.sqrt((bend**2).sum(axis=1))
     limit = cruise.acceleration_mps2
     # by v² / r: in a bend, the acceleration across it bounds the speed
+    # 1e-9, since straight parts have no bend to divide by
     squares = np.minimum(cruise.speed_mps**2, limit / np.maximum(pull, 1e-9))
     # v² = v₀² + 2 a s: a bound on v² that rises by no more than `ramp`, first forwards, then back
     ramp = 2 * limit * FINE_M * np.arange(len(squares))
@@ -142,7 +143,7 @@ def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Ge
             position = goal
         if math.dist(position, goal) < apart:
             continue
-        seed = int(rng.integers(1, 2**31))
+        seed = int(rng.integers(1, 2**31))  # OMPL takes no seed of 0
         solution = connect(world.clearance, bounds, flight, (position, goal), seed)
         if solution is None:
             position = position if legs else None  # the start itself may be walled in
@@ -166,6 +167,7 @@ def _followed(positions: Floats, max_rad: float) -> Floats:
     yaw = float(np.arctan2(north, east)[np.argmax(moves)])
     for n, course in enumerate(np.arctan2(north, east).tolist()):
         if moves[n]:  # straight up or down, the yaw stays
+            # the remainder: the shorter way round
             yaw += max(-max_rad, min(max_rad, math.remainder(course - yaw, math.tau)))
         yaws[n] = yaw
     return yaws
@@ -278,11 +280,13 @@ def _mover_of(movers: Movers, seen: Returns, times_s: Floats, error_m: float) ->
     """Tell which mover each return lies on, (echoes, *shape), -1 for none: the one whose surface
     its ray meets within `error_m` of it."""
     result = np.full(seen.ranges.shape, -1)
+    # index -1, the solid that `nearest` gives for none, leads to owner -1
     owner = np.append(movers.owner, -1)
     for group, origin in by_origin(seen.origins):
         rays, times = seen.directions[group].reshape(1, -1, 3), times_s[group].reshape(-1)
         for ranges, numbers in zip(seen.ranges, result, strict=True):
             measured = ranges[group].reshape(1, -1)
+            # a ray without a return meets nothing: it ends behind its origin
             measured = np.where(np.isfinite(measured), measured, -1.0)
             met, solid = movers.nearest(origin[None], rays, times, measured + error_m)
             solid[measured - met > error_m] = -1
@@ -391,6 +395,7 @@ def _kitti_box(number: int, box: Box, pose: Pose) -> str:
     the angle of view and the box in the image."""
     along = np.array([[0.0, 0.0, 0.0], [math.cos(box.yaw), math.sin(box.yaw), 0.0]])
     bottom, tip = pose.to_body(box.bottom + along)
+    # KITTI's order is height, width, length
     values = [*box.size[[2, 1, 0]], *bottom, math.atan2(tip[1] - bottom[1], tip[0] - bottom[0])]
     words = " ".join(f"{value:.6f}" for value in values)
     return f"{number} {box.track} {LABELS[box.kind][0]} -1 -1 -10 -1 -1 -1 -1 {words}\n"
@@ -421,6 +426,7 @@ def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
 
 
 def _header(time_s: float, frame: str) -> dict[str, Any]:
+    # rounded once, so that both parts are of the same moment
     stamp = dict(zip(("sec", "nanosec"), divmod(round(time_s * 1e9), 10**9), strict=True))
     return {"stamp": stamp, "frame_id": frame}
 

@@ -44,6 +44,15 @@ def visible_faces(mask: Mask, veil: Mask | None = None) -> tuple[Ints, Ints, Int
     towards = EYE > 0
 
     def exposed(voxels: Mask, hiding: Mask) -> Mask:
+        """Find the faces towards the eye that nothing covers.
+
+        Args:
+            voxels: Voxels whose faces are asked for, (X, Y, Z).
+            hiding: Voxels that cover a face beside them, (X, Y, Z).
+
+        Returns:
+            (3, X, Y, Z): whether the face across each axis is seen.
+        """
         # of each axis only the side towards the eye can be seen; padded, so that the map's outer
         # faces have no neighbour
         beside = [
@@ -84,6 +93,7 @@ def draw_blocks(
         edge: Width of the edges, points.
     """
     corners, voxels, across = visible_faces(mask, veil)
+    # indexing by arrays copies, so the caller's colours stay as they are
     shades = colours[tuple(voxels.T)]
     shades[:, :3] *= SHADES[across, None]
     edges = shades * [*[EDGE_SHADE] * 3, 1]
@@ -112,8 +122,10 @@ def draw_box(axes: Any, low: Floats, high: Floats, place: Any, colour: Any, widt
         width: Width of the edges in front, points.
     """
     far = EYE < 0
+    # the hidden edges are the three that meet at the corner farthest from the eye
     hidden = np.stack([np.stack([far, far ^ axis]) for axis in np.eye(3, dtype=bool)])
     front, _, _ = visible_faces(np.ones((1, 1, 1), bool))
+    # `draw_blocks` paints at 3: over the hidden edges, and under those in front
     for corners, share, order in ((hidden, 0.5, 1), (front, 1, 5)):
         outline = place(low + corners * (high - low))
         style = {"facecolors": "none", "edgecolors": [colour], "linewidths": share * width}

@@ -80,6 +80,7 @@ ON_PAGE = {
 
 def path_colours(names: Sequence[str]) -> list[Rgb]:
     """Return a colour for each method, by its name."""
+    # colours repeat, so that a picture of any number of methods can be drawn
     spare = itertools.cycle(OTHER_PATHS)
     return [PATHS.get(name) or next(spare) for name in names]
 
@@ -120,5 +121,6 @@ def error_colours(deep: Rgb, right: Mask, places: Ints) -> Floats:
     share = np.ones(len(places))  # nothing is correct: every error counts in full
     if right.any():
         away = distance_transform_edt(~right)[tuple(places.T)]
+        # a voxel beside a correct one is 1 away, and has the palest colour
         share = PALE + (1 - PALE) * np.clip((away - 1) / (DEEP - 1), 0, 1)
     return 1 - share[:, None] * (1 - np.array(rgb(deep)))

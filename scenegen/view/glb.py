@@ -21,6 +21,7 @@ def encode_world(world: World) -> bytes:
     """Return a world as the content of a GLB file. Vertices of round solids lie on the true
     surface; planes, which are infinite, end beyond the flight bounds."""
     scene = trimesh.Scene()
+    # MuJoCo has channels from 0 to 1, trimesh bytes
     colours = (255 * world.model.geom_rgba).astype(np.uint8)
     for n, (mesh, geom) in enumerate(zip(surfaces(world), world.solids.geom, strict=True)):
         mesh.visual.face_colors = colours[geom]
@@ -56,7 +57,7 @@ def _surface(shape: int, size: Floats, reach: float) -> Any:
         lid = make.box((2 * reach, 2 * reach, THICK_M))
         return lid.apply_translation((0, 0, -THICK_M / 2))
     if shape == BOX:
-        return make.box(2 * size)
+        return make.box(2 * size)  # MuJoCo's sizes are half lengths
     if shape == CYLINDER:
         return make.cylinder(size[0], 2 * size[1], sections=SIDES)
     if shape == CAPSULE:

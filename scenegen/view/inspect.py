@@ -76,6 +76,7 @@ def inspect(
         raise DatasetError(
             f"{dataset.name}: measures are stored beside one dataset; inspect each of its datasets"
         )
+    # stored measures are found by the digest, which an incomplete dataset does not have yet
     if keep and not dataset.datasets[0].manifest.complete:
         raise DatasetError(f"{dataset.name}: incomplete; give the command that made it again")
     # without stored measures, measure some samples of each split
@@ -83,9 +84,12 @@ def inspect(
     tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
         chosen = evenly(len(split), (not keep and most) or len(split))
+        # filled as results come: workers finish in any order
         tables[split.name] = np.empty((len(chosen), len(MEASURES)))
         tasks += [(split.name, *row) for row in enumerate(chosen)]
+    # `run` calls it once all workers are forked: a progress bar starts a thread
     begun = partial(on_start, len(tasks))
+    # closed, so that an error in this block leaves no worker behind
     with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
         for name, row, measures in results:
             tables[name][row] = measures
@@ -113,6 +117,7 @@ def inspect(
 def inspect_path(path: Path) -> Json:
     """Summarize the dataset, collection or selection at a path, see `inspect`. Raises
     DatasetError."""
+    # the samples that an unfinished run has made so far can be inspected
     return inspect(open_data(path, partial=True))
 
 
@@ -165,7 +170,8 @@ def _statistics(table: Floats) -> Json:
     """Return statistics of measures (samples, measures), by the names of `MEASURES`."""
     statistics: Json = {}
     for name, column in zip(MEASURES, table.T, strict=True):
-        values = column[~np.isnan(column)]
+        values = column[~np.isnan(column)]  # NaN: the sample lacks the measure
+        # None, since JSON has no NaN
         statistics[name] = {
             how: float(getattr(values, how)()) if len(values) else None
             for how in ("mean", "std", "min", "max")

@@ -62,6 +62,7 @@ class LiveView(PageServer):
         super().__init__(filled(content, (), FETCHES, "live.js"), host=host, port=port)
         self.sensor, self._number = sensor, 0
         self._newer = threading.Condition()
+        # a daemon: a program that never calls `close` still ends
         threading.Thread(target=self.serve_forever, daemon=True).start()
         if browser:
             webbrowser.open(self.address)
@@ -81,12 +82,13 @@ class LiveView(PageServer):
         poses = [[*pose.position, *pose.quaternion] for pose in self.sensor.poses(data)]
         # copied: the simulation goes on while the browser asks
         places = np.hstack([data.geom_xpos, data.geom_xmat]).astype("<f4")
+        # geoms never change their shape: later scans bring only their places
         if not self._number:
             self._solids = ModelSolids(self.sensor.model).at(data), places
         with self._newer:
             self._moment = data.time, scans, np.array(poses), places
             self._number += 1
-            self._newer.notify_all()
+            self._newer.notify_all()  # several pages may wait
         return scans
 
     def close(self, *error: object) -> None:
@@ -105,6 +107,7 @@ class LiveView(PageServer):
             with self._newer:
                 newer = self._newer.wait_for(lambda: self._number > int(request[1]), WAIT_S)
                 moment = (self._number, *self._moment) if newer else ()
+            # empty: nothing came for a while, and the page asks again
             content = _packed_scan(*moment) if moment else b""
         else:
             return None
@@ -115,9 +118,11 @@ def _packed_scan(number: int, time_s: float, scans: Any, poses: Any, places: Any
     """Encode a scan: the length of the header, 4 bytes; the header, JSON; places of geoms
     (ngeom, 12), float32; returns around the first sensor (n, 4), int16: x, y, z, 32767 for the
     farthest, and 0."""
+    # from the first sensor, so that 16 bits resolve a scan wherever in the world it is
     points = np.concatenate([scan.points() for scan in scans]) - poses[0, :3]
-    reach = float(np.abs(points).max(initial=1e-6))
+    reach = float(np.abs(points).max(initial=1e-6))  # never 0, by which points are divided
     # single far returns would make all others one colour
+    # the 0 is for scans without returns, which have no quantiles
     heights = np.quantile(np.append(points[::16, 2], 0.0), [0.02, 0.98]) + poses[0, 2]
     head = {
         "number": number,
@@ -140,10 +145,12 @@ def _packed_solids(solids: Any, places: Any) -> bytes:
     are."""
     from scenegen.view.glb import surfaces
 
+    # `surfaces` takes the reach of planes from flight bounds, which a running model does not have
     near: Any = SimpleNamespace(solids=solids, flight_bounds=solids.position + PLANE_M)
     meshes = surfaces(near)
     sizes = [mesh.triangles.size for mesh in meshes]
     facts = {"geoms": solids.geom.tolist(), "sizes": sizes, "places": places.tolist()}
+    # there is no map, so corners are in the world's frame
     return json.dumps(facts | packed_world(meshes, np.zeros(3))).encode()
 
 

@@ -123,6 +123,7 @@ class Look:
     @property
     def has_sensor(self) -> bool:
         """Whether something was scanned, and not a world or a map alone is shown."""
+        # what is observed was scanned, even if the scan itself could not be read
         return self.rays > 0 or (not self.scans and "observed" in self.masks)
 
     @property
@@ -192,8 +193,10 @@ def field_of_view(sensor: Sensor) -> list[float]:
         elevation.
     """
     x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
+    # rounding can lead z beyond 1, where the arcsine is NaN
     azimuth, elevation = np.arctan2(y, x), np.arcsin(np.clip(z, -1, 1))
     edges = [azimuth.min(), azimuth.max(), elevation.min(), elevation.max()]
+    # rounded, so that pages are the same on every processor
     return np.degrees(edges).round(2).tolist()
 
 
@@ -218,6 +221,7 @@ def look_at(
     Raises:
         DatasetError: Not even the pose can be read.
     """
+    # nothing can be placed without a pose: a damaged one is an error, not a note
     pose = {field: getattr(sample, field) for field in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
         raise DatasetError(f"{name}: its pose is not finite")
@@ -353,7 +357,7 @@ def looks_of_dataset(path: Path, count: int = 24) -> list[Look]:
     Raises:
         DatasetError: There is no dataset, or none of the samples can be read.
     """
-    dataset = open_data(path, partial=True)
+    dataset = open_data(path, partial=True)  # an unfinished run has samples to show, too
     split = next((name for name in SPLITS if len(dataset.split(name))), SPLITS[0])
     return looks(dataset, split, evenly(len(dataset.split(split)), count))[0]
 

@@ -184,6 +184,7 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
             raise DatasetError(f"{name}: expected a file on this machine that ends in .html")
         write_result(Path(out), result.html.encode())
     elif "ipykernel" not in sys.modules:  # not within a notebook
+        # not deleted: the browser may read it after this process has ended
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
             file.write(result.html.encode())
         webbrowser.open(Path(file.name).as_uri())
@@ -193,6 +194,7 @@ def _open(result: Shown, out: str | Path | None) -> Shown:
 def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     """Check a prediction, or occupied voxels, and make a `Guess`. A prediction is thresholded as in
     the paper."""
+    # by its method: the class is of `model`, which imports this package
     is_prediction = hasattr(predicted, "occupied")
     arrays = [predicted.occupancy_probability, predicted.tudf] if is_prediction else []
     if not all(np.isfinite(array).all() for array in arrays if array is not None):

@@ -61,6 +61,7 @@ def looks_of_scan(path: Path, columns: int | None = None) -> list[Look]:
     position: Floats = np.zeros(3)
     rays = len(cloud.points)
     to_box_m, diagonal_m = np.linalg.norm([np.clip(position, low, high), high - low], axis=1)
+    # at least a metre, since a single point has no diagonal
     if to_box_m > max(float(diagonal_m), 1.0):
         # map coordinates, such as UTM: nobody knows where the sensor was
         position, rays = (low + high) / 2, 0
@@ -129,6 +130,7 @@ def looks_of_log(path: Path, **reading: Any) -> list[Look]:
             continue
         if grid is None:  # one size for all, so that a film does not jump
             reach = np.maximum(np.quantile(np.abs(local), SHARE, axis=0), MIN_REACH_M)
+            # a square box: the grid keeps the world's axes while the sensor turns
             reach[:2] = reach[:2].max()
             grid, _ = box_around(-reach, reach)
         position = scan.pose.position
@@ -182,7 +184,7 @@ def look_of_world(world: Any, name: str) -> Look:
     from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
-    corners = world.flight_bounds.copy()
+    corners = world.flight_bounds.copy()  # its floor is lowered below; the world keeps its own
     surfaces: Any = ()
     timeline, notes = None, list[str]()
     if isinstance(world, Place):
@@ -192,6 +194,7 @@ def look_of_world(world: Any, name: str) -> Look:
 
         # flights stay above the ground, but a page has to show what they fly over
         solids = world.solids
+        # planes have no lower end to show
         bounded = solids.lower[np.isfinite(solids.lower).all(axis=1)]
         heights = [*bounded[:, 2], *solids.triangles.reshape(-1, 3)[:, 2]]
         corners[0, 2] = min([corners[0, 2], *heights])
@@ -199,6 +202,7 @@ def look_of_world(world: Any, name: str) -> Look:
         beyond = (lower < corners[0] - SLACK_M) | (upper > corners[1] + SLACK_M)
         if count := np.count_nonzero(beyond.any(axis=1) & np.isfinite(lower).all(axis=1)):
             ranges = ", ".join(
+                # + 0, so that -0.0 is not printed as -0
                 f"{axis} {round(low, 2) + 0:g} to {high:.4g} m"
                 for axis, low, high in zip("xyz", *corners, strict=True)
             )
@@ -261,6 +265,7 @@ def box_around(low: Floats, high: Floats) -> tuple[GridSpec, Floats]:
 def _cells(points: Floats, grid: GridSpec, origin: Floats) -> Mask:
     """The voxels of a grid that hold points (n, 3); points outside are left out."""
     mask = np.zeros(grid.shape, bool)
+    # floor, since `astype` rounds towards 0, and would take points just outside for inside
     cells = np.floor((points - origin) / grid.voxel_m).astype(np.int64)
     inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
     mask[tuple(cells[inside].T)] = True

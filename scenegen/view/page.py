@@ -129,8 +129,11 @@ def filled(content: Json, methods: Sequence[str], policy: str = "", script: str 
     parts = {
         "TITLE": html.escape(content["title"]),
         "POLICY": policy,
+        # it stands in an HTML comment, which must not hold two dashes
         "LICENCE": html.escape(_text("three/LICENSE")).replace("--", "- -"),
+        # by the data: equal samples give equal pages, and no text in the data can hold its own hash
         "NONCE": hashlib.sha256(data.encode()).hexdigest()[:32],
+        # within the page, so that a file works alone and asks no network
         "THREE": _gzip64((HERE / "three" / "three.module.min.js").read_bytes()),
         "ORBIT": _gzip64((HERE / "three" / "OrbitControls.js").read_bytes()),
         "SCRIPT": _text("stage.js") + _text(script),
@@ -218,6 +221,7 @@ def _packed_movers(timeline: Timeline) -> Json:
         "now": now_s,
         "scans": (timeline.scan_times - now_s).tolist(),
         "end": timeline.end_s - now_s,
+        # JSON has no infinity
         "period": movers.period_s if math.isfinite(movers.period_s) else None,
         "table": _gzip64(encoded(movers).encode()),
     }
@@ -266,6 +270,7 @@ def _gzip64(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
 
 
+# ASCII, since \d also means the digits of other scripts
 REQUEST = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
 IDLE_S = 30.0
@@ -287,6 +292,7 @@ Reply = tuple[HTTPStatus, str, bytes]
 class PageServer(ThreadingHTTPServer):
     """The server of one page, which holds what it shows."""
 
+    # seconds after which `handle_request` returns, so that a loop around it sees a stop
     timeout = 0.5
     request_queue_size = 64
 
@@ -348,8 +354,10 @@ class PageServer(ThreadingHTTPServer):
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:
             return False
+        # the page of a stranger asks by a name, never by a bare address
         with suppress(ValueError):
             return bool(ipaddress.ip_address(name))
+        # `address` has the machine's name only where other machines can reach it
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
     def reply(self, path: str) -> Reply | None:
@@ -410,7 +418,7 @@ class Live(PageServer):
         """Close, and wait for the sample that is being read: a thread inside torch can abort the
         process when Python shuts down."""
         super().server_close()
-        self._reading.acquire()
+        self._reading.acquire()  # and never released: no other sample is read
 
     def reply(self, path: str) -> Reply | None:
         """Answer with a sample or its world as JSON, or a line in `error`, see
@@ -451,7 +459,9 @@ class _Handler(BaseHTTPRequestHandler):
     """Handles one connection."""
 
     server: PageServer
+    # nobody is told versions of software
     server_version, sys_version = "scenegen", ""
+    # 1.1 keeps the connection, since a page asks for one sample after another
     protocol_version = "HTTP/1.1"
     timeout = IDLE_S
     disable_nagle_algorithm = True  # else an answer can wait 40 ms for the browser's receipt
@@ -459,6 +469,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with the page, a sample or a world."""
         hosts = self.headers.get_all("Host") or []
+        # exactly one, as HTTP/1.1 demands (RFC 9112, 3.2)
         if len(hosts) != 1 or not self.server.allows(hosts[0]):
             refusal = b"this name is not the viewer's; open its address\n"
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal)

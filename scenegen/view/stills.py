@@ -103,6 +103,7 @@ class Panel:
     def limits(self) -> Floats:
         """Return left and right, lower and upper end (2, 2) on the paper, metres."""
         corners = list(itertools.product(*zip(self.low, self.high, strict=True)))
+        # paths may leave the box
         paper = self.place(np.concatenate([corners, *(points for points, _ in self.lines)]))
         room = 0.06 * np.ptp(paper, axis=0).max()
         return np.stack([paper.min(axis=0) - room, paper.max(axis=0) + room], axis=1)
@@ -126,6 +127,7 @@ class Panel:
         if self.image is not None:
             (left, down), (right, up) = self.place([low, high])
             axes.fill_between((left, right), down, up, **HATCH)
+            # rows of an image go along y
             image, extent = self.image.swapaxes(0, 1), (left, right, down, up)
             axes.imshow(image, origin="lower", extent=extent, zorder=2)
         if self.mask is not None:
@@ -146,7 +148,7 @@ class Panel:
         for n, (start, offset) in enumerate(zip(starts, ((-4, -6), (6, -4), (-6, 0)), strict=True)):
             end = np.where(np.arange(3) == n, high, start)
             first, last = self.place([start, end])
-            if (first != last).any():
+            if (first != last).any():  # from above, z is a point
                 rotation = math.degrees(math.atan2(*(last - first)[::-1]))
                 text, middle = f"{'xyz'[n]}: {start[n]:.1f} … {end[n]:.1f} m", (first + last) / 2
                 turned = {"rotation": rotation, "ha": "center", "va": "center"}
@@ -186,10 +188,11 @@ def compose(
     """
     table, columns, rows = _arrange(cells, rows, paper)
     panels = [panel for row in table for panel in row if panel]
+    # panels with the same label share a bar
     bars = {panel.bar[0]: panel.bar for panel in panels if panel.bar}
     styles = [style for panel in panels for _, style in [*panel.dots, *panel.lines]]
     labels = {style["label"] for style in styles if "label" in style}
-    title = "" if paper.width else title
+    title = "" if paper.width else title  # print has captions
 
     # lengths in inches, from the upper left corner
     count, em = len(table[0]), paper.points / 72
@@ -204,12 +207,33 @@ def compose(
         figure = Figure(figsize=(wide, high))
 
         def add_axes(x: float, y: float, width: float, height: float, **values: Any) -> Any:
+            """Add axes without ticks.
+
+            Args:
+                x: Their left end, inches from the left of the figure.
+                y: Their upper end, inches from its top.
+                width: Their width, inches.
+                height: Their height, inches.
+                values: Further arguments of `Figure.add_axes`.
+
+            Returns:
+                The axes of matplotlib.
+            """
             place = x / wide, 1 - (y + height) / high, width / wide, height / high
             axes = figure.add_axes(place, xticks=[], yticks=[], **values)
             axes.tick_params(labelsize=paper.points, length=2, pad=2)
             return axes
 
         def cut(text: str, room: float) -> str:
+            """Cut a text to the letters that fit.
+
+            Args:
+                text: The text, which may be a stranger's.
+                room: Room along the text, inches.
+
+            Returns:
+                One line of at least three letters, if the text has them.
+            """
             return printable(text)[: max(3, int(room / (0.58 * em)))]
 
         figure.suptitle(cut(title, wide / 1.2), y=1 - 0.6 * em / high)
@@ -228,6 +252,7 @@ def compose(
             values, ticks = ScalarMappable(Normalize(*ends), shades), MaxNLocator(4)
             figure.colorbar(values, axes, orientation="horizontal", label=label, ticks=ticks)
         pairs = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes]
+        # by label: what several panels show is listed once
         marks = {label: mark for mark, label in itertools.chain(*pairs)}
         figure.legend(marks.values(), marks, loc="lower center", ncols=ncols, frameon=False)
     return figure
@@ -361,6 +386,7 @@ def _level_of(look: Look) -> int:
 def _level(look: Look, level: int, what: str, colours: Floats, known: Any, **values: Any) -> Panel:
     """Make a panel of a level of voxels: colours (X, Y, 3) where it is known, x right and y up."""
     image = np.dstack([colours, np.broadcast_to(known, colours.shape[:2])])
+    # the middle of the level
     z = look.origin[2] + (level + 0.5) * look.grid.voxel_m
     # the sensor is drawn only where the level passes through it
     dots = _sensor(look) if abs(z - look.position[2]) <= look.grid.voxel_m else []
@@ -505,6 +531,7 @@ def draw(
     below = {"sample": "levels", "completions": "distances"}.get(figure)
     if below and not others:  # a single sample has room for its levels
         cells.append(_row(look, below, names, [], ""))
+    # panels of a single column have these texts as captions
     has_rows = others and len(cells[0]) > 1
     return compose(cells, texts if has_rows else [], title=title, paper=paper)
 
@@ -552,6 +579,7 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     """Draw a panel for each sensor, by its name: each ray is a dot at its azimuth and elevation in
     degrees, from dark for the first in time to light for the last."""
     angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
+    # a degree is about as long upwards as around, except in flat patterns, which stay readable
     heights = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) + 0.7 for up, around in angles]
     figure = Figure(figsize=(6.4, sum(heights)), dpi=100, layout="constrained")
     panels = figure.subplots(len(heights), squeeze=False, height_ratios=heights)[:, 0]
