@@ -140,6 +140,7 @@ class Archived(Source):
         return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
+        # every process opens the dataset for itself: HDF5 handles cannot be pickled
         return {"folder": self.folder}
 
     def describe(self) -> Json:

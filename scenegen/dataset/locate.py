@@ -233,6 +233,7 @@ def without_tokens(text: object) -> str:
     like a token."""
     from huggingface_hub import get_token
 
+    # \0 is in no printable line; an empty text would be found between all characters
     return TOKEN.sub("…", printable(text).replace(get_token() or "\0", "…"))
 
 

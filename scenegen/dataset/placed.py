@@ -74,6 +74,7 @@ def remove_notes(folder: Path) -> None:
 SUFFIX = ".report.json"
 AT_A_TIME = 16
 """Number of concurrent requests."""
+# 64 hexadecimal digits a sample, with room for quotes and escapes
 MAX_REPORT_BYTES = 10_000 + 80 * MAX_SAMPLES_IN_SHARD
 
 
