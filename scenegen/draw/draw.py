@@ -216,6 +216,7 @@ def times_of_scans(time_s: float, recipe: Recipe) -> Floats:
     back_m = recipe.mapping.scan_spacing_m * np.arange(recipe.mapping.scans)
     if recipe.traffic is None:
         return np.zeros(len(back_m))
+    # not before the flight began: earlier scans are taken at its start, see `Route.before`
     return np.maximum(time_s - back_m / recipe.traffic.sensor_mps, 0.0)
 
 
@@ -312,6 +313,7 @@ def _look(
         room_m = recipe.flight.robot_radius_m
         if world.movers.distances_m(pose.position[None], time_s, recipe.scan_s)[0] < room_m:
             return "mover_near"
+    # a clean scan decides, so that a noisy dataset has the viewpoints of the clean one
     (scan,) = scans_from([pose], [time_s], world, engine, recipe)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:

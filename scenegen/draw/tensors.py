@@ -68,6 +68,7 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
             raise DatasetError(
                 f"{samples}: torch() has no field {short_repr(name)}; expected {', '.join(known)}"
             )
+        # fields over time have the shape of the grid, as `occupancy` has
         if len(shapes["occupancy" if match else name]) > 1:
             alike = [field for field in known if len(shapes[field]) == 1]
             raise DatasetError(
