@@ -337,4 +337,5 @@ class Sample:
     def seen(self) -> ObservedGrid:
         """Map that follows from the stored scans. Raises CorruptFileError if a pose is invalid."""
         contract = self.contract
+        # oldest first, as when the sample was made
         return fuse(self.scans[::-1], contract.grid, self.fields["origin"], contract.mapping)
