@@ -218,6 +218,7 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
         draft.mkdir()
         yield draft
         sync_folder(draft)
+        # again: somebody may have put something there while the block ran
         check(path)
         if path.exists():
             # rename(2) does not replace a folder that holds files

@@ -235,6 +235,7 @@ def run(
                         worker.give(pending.popleft())
                     yield result
             for task in pending:
+                # of any other function, the death of a worker is an error and ends the run
                 assert isinstance(function, Limited)
                 yield function.given_up(task, "was not examined: too many before it failed")
         finally:
@@ -350,6 +351,7 @@ class Worker:
                 return value
             if self.limits is None:
                 raise value
+            # a worker that is late still works on its task, so it cannot take another
             self.alive = value is not None
             message = " ".join(str(value).split())[:200]
             reason = (

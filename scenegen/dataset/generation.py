@@ -114,6 +114,7 @@ def generate(
         GenerationError: if all draws of a world are rejected.
     """
     plans = plan_generation(kind, n, out=out, **options)
+    # listed first, so that readers know a collection as incomplete if the run is stopped
     plans.open(force=force)
     for plan in plans.datasets:
         build(plan, workers=workers, force=force)
@@ -275,6 +276,7 @@ def plan_generation(
             report(line)
         # after `suited`, which may take a map whole that was cut into regions
         single_world = sum(map(len, source.scenes.values())) == 1
+        # after `with_parts`, by which the recipe has its movers
         source = source.moving(base_recipe, seed)
     if base_recipe.world is not None and not base_recipe.world.for_training:
         # by default, as many test samples as beside 2500 for training, and no others

@@ -181,6 +181,7 @@ class ScanAgain(ShardSpec):
         dataset, viewpoints = source.dataset, self.recipe.flight.viewpoints
         samples = dataset.split(self.split)[unit * viewpoints : (unit + 1) * viewpoints]
         number, turn = source.number(self.split, unit)
+        # any numbers will do: an archived world is not drawn
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)
         mapping, original = self.recipe.mapping, dataset.manifest.mapping

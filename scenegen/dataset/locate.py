@@ -251,6 +251,7 @@ def _check_listing(repository: str, revision: str | None) -> None:
         info = HfApi().dataset_info(
             repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S
         )
+    # an answer of the Hub, such as no permission: the download would get it, too
     except HfHubHTTPError:
         raise
     except Exception:  # versions of the client raise different errors without a network

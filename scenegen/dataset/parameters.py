@@ -235,6 +235,7 @@ def recipe_text(recipe: RecipeEntry, title: str) -> str:
         "noise": {"stages": recipe.noise.stages} if recipe.noise else None,
         "mapping": recipe.mapping,
         "known": recipe.known,
+        # of all parts, movers alone have a table in recipe files
         "movers": recipe.parts.get("movers"),
         "grid": recipe.grid,
     }

@@ -102,6 +102,7 @@ class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True)
     mapping: Json
     known: Json | None = None
     """Thresholds for known space in maps of real places; None if there are none."""
+    # safe as a default: msgspec copies an empty dict for every object
     parts: dict[str, Json] = {}
     """Settings of optional parts of samples, by name: see `scenegen.draw.parts`."""
 
@@ -116,6 +117,7 @@ class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
     seed: Seed
     counts: dict[SplitName, Count]
     """Number of samples of each split in the complete dataset."""
+    # not `recipe`: a Manifest has that name for the object that the tables describe
     tables: RecipeEntry = msgspec.field(name="recipe")
     scenes: dict[SplitName, list[SceneEntry]] | None = None
     """Worlds of each split from files; None for drawn worlds."""

@@ -134,6 +134,7 @@ def kept_measures(dataset: AnyDataset) -> dict[str, Floats]:
     for name in SPLITS:
         split = dataset.split(name)
         columns = [tables[piece.dataset.folder][name][own_numbers(piece)] for piece in split.pieces]
+        # an empty table first, as a split may have no pieces
         by_split[name] = np.concatenate([np.empty((0, len(COLUMNS))), *columns])
     return by_split
 

@@ -53,6 +53,7 @@ class UnitKey(NamedTuple):
             attempt: Number of the draw.
             part: Further parts of the key, such as the number of a view.
         """
+        # in the order that docs/format.md lays down
         key = SPLITS.index(self.split), self.unit, attempt, stream, *part
         # a stream for each purpose: more noise, for example, must not change the worlds
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))

@@ -173,6 +173,7 @@ class SceneWorlds:
             The world.
         """
         scene = self.scenes[split][number]
+        # a tuple, as arguments of a cached function need a hash
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
 
     def describe(self) -> Json:
@@ -539,6 +540,7 @@ def read_scenes(
     )
     notes += [note for scene in scenes.values() for note in scene.notes]
     lone = next(iter(scenes.values())) if len(scenes) == 1 else None
+    # a single map serves several splits, as it can be cut
     several = lone is None or lone.is_map
     splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
     if lone is not None and lone.is_map and len(splits) > 1:
@@ -546,6 +548,7 @@ def read_scenes(
         # at least a voxel apart, so that no voxel of a sample reaches into two splits
         regions = cut(lone, [REGIONS[split] for split in splits], max(GAP_M, voxel_m))
         worlds |= {split: (region,) for split, region in zip(splits, regions, strict=True)}
+        # who asks for samples of val or test needs the regions
         return SceneWorlds(worlds, tuple(notes), None if counts["val"] or counts["test"] else lone)
     if len(scenes) < len(splits):
         raise SceneError(
