@@ -54,6 +54,7 @@ class DatasetError(ScenegenError):
     """A folder holds no dataset, another dataset than expected, or cannot be written."""
 
 
+# also a FileNotFoundError, as stores raise for a missing object: callers catch one class
 class NotFoundError(DatasetError, FileNotFoundError):
     """A file that should be read does not exist."""
 
@@ -95,6 +96,7 @@ class UndecidedError(ScenegenError):
     """No fault was seen, but this machine cannot decide whether the dataset follows from its recipe
     and seed."""
 
+    # 2 is click's, for wrong arguments
     code = 3
 
 

@@ -37,6 +37,7 @@ machine, and its arguments, the dataset's name first."""
 
 def cores() -> int:
     """Number of CPU cores that this process may use."""
+    # not `os.cpu_count`, which also counts cores that a job of a cluster may not use
     return len(os.sched_getaffinity(0))
 
 
@@ -168,6 +169,7 @@ def check_together(execute: Executor, command: str) -> None:
         )
 
 
+# a stop ends the process in its signal handler, where no `finally` runs
 _begun: list[Callable[[], object]] = []
 
 
@@ -251,6 +253,7 @@ def installed(package: str) -> str:
 def identity() -> dict[str, Any]:
     """What machines must share to work on one result: `software`, the generator's version, and a
     digest of all Python files of both packages."""
+    # the version alone does not tell two checkouts apart
     digest = hashlib.sha256()
     for path in sources(*(Path(str(package.__file__)).parent for package in (lidarsim, scenegen))):
         digest.update(path.read_bytes())

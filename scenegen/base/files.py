@@ -218,8 +218,10 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
         draft.mkdir()
         yield draft
         sync_folder(draft)
+        # again: somebody may have put something there while the block ran
         check(path)
         if path.exists():
+            # rename(2) does not replace a folder that holds files
             path.rename(previous)
         draft.rename(path)
         sync_folder(path.parent)
@@ -249,6 +251,7 @@ def claim(folder: Path, name: str, settings: Json) -> Collection[str]:
     if begun := state.exists():
         occupied = read_bounded(state, MAX_MANIFEST_BYTES) != content
     else:
+        # an ending of .tmp: another job that begins the same run has its draft here
         occupied = any(not item.endswith(".tmp") for item in names)
     if occupied:
         raise DatasetError(
@@ -272,8 +275,10 @@ def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
     ):
         yield file
         file.flush()
+        # after the flush, as the last write changes the time that the mark holds
         status = os.fstat(file.fileno())
         with suppress(OSError):
+            # refused by file systems without extended attributes; see `check_ours`
             os.setxattr(file.fileno(), MARK, str(status.st_mtime_ns).encode())
         if sync:
             os.fsync(file.fileno())
@@ -366,12 +371,14 @@ def _is_gone(match: re.Match[str], modified_s: float) -> bool:
     _, machine, pid, start = match.groups()
     if machine == _machine():
         return _start_of(int(pid)) != int(start)
+    # nobody here can ask whether a process of another machine still runs
     return time.time() - modified_s > STALE_S
 
 
 def _start_of(pid: int) -> int:
     """Start time of a process, in clock ticks since boot; 0 if it does not run."""
     try:
+        # from the last parenthesis on: the program's name before it may hold spaces and parentheses
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return 0

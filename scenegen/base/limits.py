@@ -89,6 +89,7 @@ MAX_PLACE_VOXELS = 1 << 28
 MB."""
 MAX_ARCHIVE_BYTES = 1 << 30
 """Maximum size of all unpacked members of a shard's archive, bytes."""
+# more members than 65,535 need zip64, which readers of archives refuse
 MAX_MEMBERS = 65_000
 """Maximum number of members of a shard's archive."""
 

@@ -58,6 +58,7 @@ def make_mirror(store: Store, name: str, manifest: bytes) -> Path:
     digests = (hashlib.sha256(text).hexdigest()[:16] for text in (store.url.encode(), manifest))
     folder = mirror_root().joinpath(*digests)
     _check_private(folder)
+    # the folder has the manifest's digest in its name, so a manifest that is there is this one
     if not (folder / name).is_file():
         write_atomic(folder / name, manifest)
     return folder
@@ -75,6 +76,7 @@ def note_files(folder: Path, store: Store, files: Mapping[str, str]) -> None:
     # written only when it changes, as many processes open the same mirror
     if not (note := _note_of(folder)).is_file() or note.read_bytes() != content:
         write_atomic(note, content)
+    # this process may have read the note before it changed
     _read_note.cache_clear()
 
 
@@ -122,6 +124,7 @@ def _download(mirror: Mirror, name: str, path: Path) -> None:
             raise CorruptFileError(
                 f"{mirror.url}/{name}: is missing at the store, though it is listed"
             ) from None
+        # checked before the file gets its name: `fetch` trusts every file that has one
         with open(draft, "rb") as file:
             if hashlib.file_digest(file, "sha256").hexdigest() != mirror.files[name]:
                 raise StoreError(
@@ -146,6 +149,7 @@ def fetch_all(folder: Path, names: Collection[str]) -> None:
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
+        # a list: an error in a thread is raised only when its result is taken
         list(pool.map(fetch, [folder / name for name in names]))
     # a later download may have evicted an earlier one
     if lost := [name for name in names if not (folder / name).exists()]:
@@ -197,6 +201,7 @@ def _lock(path: Path) -> Iterator[None]:
     """
     lock = Path(f"{path}.lock")
     with disk_errors(path):
+        # shards beyond the first thousand lie in a subfolder
         path.parent.mkdir(exist_ok=True)
         file = open(lock, "wb")  # noqa: SIM115 (closed below; refusals of the disk are told)
     with file:

@@ -253,6 +253,7 @@ DATA = ("dataset", "collection", "selection", "datasets")
 def type_of(path: str | PurePath) -> str | None:
     """Name of a path's type in `TYPES`, or None. A name with a scheme, such as s3://bucket/folder,
     is a dataset."""
+    # a Path makes one slash of two, so only text can be a URL
     if not isinstance(path, Path):
         if "://" in str(path):
             return "dataset"
@@ -294,6 +295,7 @@ def check_type(path: str | PurePath, *expected: str) -> None:
     """
     name = type_of(path)
     if name is None and Path(path).is_file():
+        # raises the error, with all types that are known
         what_is(path)
     if name is not None and name not in expected:
         # a common mistake: the folder above the dataset

@@ -132,6 +132,7 @@ def received(
         ImportError: if a package is not installed here.
     """
     try:
+        # compared before anything is unpickled, which needs the sender's own code
         local = identity()
         if local != sender:
             mismatches = [
@@ -144,6 +145,7 @@ def received(
                 f"every node; {GO_ON}"
             )
         with suppress(OSError):
+            # so that relative paths of the command lead to the same files
             os.chdir(folder)
         if importable and folder not in sys.path:
             sys.path.append(folder)  # last, as the registry does
@@ -183,6 +185,7 @@ class Ray(Executor):
     """
 
     def __init__(self, address: str, workers: int):
+        # before the import, at which Ray reads them
         os.environ.update(SILENT)
         try:
             import ray

@@ -270,6 +270,7 @@ class Store:
             code, url = _code_of(error), f"{self}/{name}".rstrip("/")
             if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in code:
                 raise FileNotFoundError(url) from None
+            # a code that begins with a letter is no server's answer, so the disk is this machine's
             if isinstance(error, OSError) and error.errno in DISK_ERRORS and code[0].isalpha():
                 raise StoreError(
                     f"{url}: cannot be copied to this machine ({error.strerror}); free some "
@@ -313,8 +314,10 @@ def _connect(url: str, process: int) -> tuple[Any, str]:
             "request_checksum_calculation": "when_required",
             "response_checksum_validation": "when_required",
         }
+        # a server of one's own seldom has a host name for each bucket, as Amazon has
         if any(os.environ.get(name) for name in ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3")):
             config["s3"] = {"addressing_style": "path"}
+        # other jobs put objects meanwhile: no listing may come from a cache
         options = {"config_kwargs": config, "max_concurrency": 1, "use_listings_cache": False}
     try:
         import fsspec

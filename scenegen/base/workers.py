@@ -135,6 +135,7 @@ def keep_memory() -> None:
     import ctypes
 
     library = ctypes.CDLL(None)
+    # 32 MB is the most that glibc accepts on 64-bit machines
     library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
     library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
 
@@ -156,6 +157,8 @@ class Limited:
     def __call__(self, task: Any) -> Any:
         """Run one task in a process that is reused for this thread's next task. For executors that
         call functions in their own processes, which may run threads."""
+        # kept between tasks, as starting one takes 0.7 to 2.2 s of processor time
+        # taken out meanwhile, so that a worker that fails is not used again
         worker = vars(_idle).pop("worker", None) or Worker(self, "spawn")
         if worker.limits is not self or not worker.process.is_alive():
             worker.end()
@@ -232,6 +235,7 @@ def run(
                         worker.give(pending.popleft())
                     yield result
             for task in pending:
+                # of any other function, the death of a worker is an error and ends the run
                 assert isinstance(function, Limited)
                 yield function.given_up(task, "was not examined: too many before it failed")
         finally:
@@ -280,6 +284,7 @@ class Worker:
     """One process, its task, and the task's deadline. A forked process shares compiled kernels and
     imports; a spawned one may be started while this process runs threads."""
 
+    # a spawned process runs the user's script again, so fork is the default
     def __init__(self, function: Function, start: str = "fork"):
         context: Any = multiprocessing.get_context(start)
         self.pipe, worker_pipe = context.Pipe()
@@ -301,6 +306,7 @@ class Worker:
                 self.process.start()
             finally:
                 this_process.daemon = daemon
+        # while this process holds that end, a worker that dies gives no EOF here
         worker_pipe.close()
         self.alive = True
 
@@ -329,6 +335,7 @@ class Worker:
         """
         value: Any
         try:
+            # an empty pipe: `_ready` named the worker because its time is over
             succeeded, value = self.pipe.recv() if self.pipe.poll() else (False, None)
         except (EOFError, ConnectionResetError):
             self.alive = False
@@ -344,6 +351,7 @@ class Worker:
                 return value
             if self.limits is None:
                 raise value
+            # a worker that is late still works on its task, so it cannot take another
             self.alive = value is not None
             message = " ".join(str(value).split())[:200]
             reason = (
@@ -418,6 +426,7 @@ def _serve(
     if memory_bytes is not None:
         limit_memory(memory_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    # not the parent's handlers, which Python runs only when a library returns
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     if dies_with_thread:
@@ -443,4 +452,5 @@ def die_with_parent() -> None:
     library."""
     import ctypes
 
+    # a parent that ended before this call sends nothing: `_serve` asks for its id, too
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)

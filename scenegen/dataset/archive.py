@@ -126,6 +126,7 @@ def _check_directory(file: BufferedReader) -> None:
     # PK\6\7 would point to a second directory (zip64) of any size
     if len(end) < 22 or end[-22:-18] != b"PK\5\6" or end[:4] == b"PK\6\7":
         raise CorruptFileError("is not a whole zip file: it does not end as one")
+    # total entries and the directory's size, as the end record has them (APPNOTE.TXT, 4.3.16)
     count, length = struct.unpack("<HI", end[-12:-6])
     if count > MAX_MEMBERS or length > MAX_MEMBERS * 200:
         raise CorruptFileError(
@@ -203,6 +204,7 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
     errors = (ElementTree.ParseError, ValueError, RecursionError)
     with reraise_as(DatasetError, fault, "; verify the dataset", of=errors):
         root = ElementTree.fromstring(document)
+    # any of these would win over, or stand beside, the folder that is set below
     for compiler in root.iter("compiler"):
         for name in FOLDERS:
             compiler.attrib.pop(name, None)

@@ -94,6 +94,7 @@ def plan_dataset(
     planned = Manifest(
         generator=GENERATOR,
         seed=seed,
+        # in this order: the manifest's bytes must not depend on the caller's mapping
         counts={split: counts[split] for split in SPLITS},
         tables=tables or recipe_entry(recipe),
         scenes={split: [SceneEntry(**entry) for entry in scenes[split]] for split in scenes}

@@ -230,6 +230,7 @@ def open_data(
     folder = locate(names, show_progress=show_progress)
     if folder.is_file():
         return _selection(folder, partial=partial, checked=checked)
+    # a store or the Hub holds one dataset, and no collection
     if (folder / NAME).exists() or is_remote(names):
         return Dataset(folder, partial=partial, checked=checked)
     members = members_of(folder)
@@ -272,6 +273,7 @@ def members_of(folder: Path) -> list[Path]:
     """
     path = folder / COLLECTION
     if not path.is_file():
+        # sorted: glob has no order, and samples are numbered in the order of datasets
         return sorted(member.parent for member in folder.glob(f"*/{NAME}"))
     return [folder / name for name in _decoded(path, CollectionFile).datasets]
 

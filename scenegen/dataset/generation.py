@@ -114,6 +114,7 @@ def generate(
         GenerationError: if all draws of a world are rejected.
     """
     plans = plan_generation(kind, n, out=out, **options)
+    # listed first, so that readers know a collection as incomplete if the run is stopped
     plans.open(force=force)
     for plan in plans.datasets:
         build(plan, workers=workers, force=force)
@@ -266,13 +267,16 @@ def plan_generation(
     if isinstance(source, SceneWorlds):
         settled: Collection[str] = ()
         if isinstance(recipe, Recipe):
+            # what the user settled is kept: all of a whole Recipe, of a file what it names
             settled = field_names(Flight)
         elif recipe_file is not None:
             settled = read_toml(recipe_file).get("flight", ())
         source, base_recipe = source.suited(base_recipe, settled)
         for line in source.notes:
             report(line)
+        # after `suited`, which may take a map whole that was cut into regions
         single_world = sum(map(len, source.scenes.values())) == 1
+        # after `with_parts`, by which the recipe has its movers
         source = source.moving(base_recipe, seed)
     if base_recipe.world is not None and not base_recipe.world.for_training:
         # by default, as many test samples as beside 2500 for training, and no others
@@ -426,6 +430,7 @@ def folder_names(kinds: Sequence[str]) -> list[str]:
     before: Counter[str] = Counter()
     names = []
     for name in plain:
+        # three digits, as a collection has MAX_SOURCES = 1000 datasets at most
         names.append(f"{name}-{before[name]:03d}" if plain.count(name) > 1 else name)
         before[name] += 1
     return names

@@ -130,6 +130,7 @@ class Chunks:
             elif number == DEFLATE:
                 decompressor = isal.isal_zlib.decompressobj()
                 # a limit on the output: a small chunk could unpack to gigabytes
+                # 8 bytes to spare: output that is too long must be seen, and not be cut to fit
                 data = decompressor.decompress(data, self.bytes + 8)
                 if not decompressor.eof:
                     raise ValueError("more or fewer bytes than it should")
@@ -229,8 +230,8 @@ class ShardFile:
                 )
 
     def rejected(self) -> dict[str, Counter[str]]:
-        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises "
-        "CorruptFileError."""
+        """Numbers of rejected draws by reason, of worlds and of viewpoints. Raises
+        CorruptFileError."""
         text = self.attributes["rejected"]
         fault = f"{self.name}: attribute rejected = {short_repr(text)}: expected counts as JSON"
         errors = (ValueError, TypeError, RecursionError)  # msgspec's are ValueErrors

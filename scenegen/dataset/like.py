@@ -140,6 +140,7 @@ class Archived(Source):
         return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
+        # every process opens the dataset for itself: HDF5 handles cannot be pickled
         return {"folder": self.folder}
 
     def describe(self) -> Json:
@@ -180,6 +181,7 @@ class ScanAgain(ShardSpec):
         dataset, viewpoints = source.dataset, self.recipe.flight.viewpoints
         samples = dataset.split(self.split)[unit * viewpoints : (unit + 1) * viewpoints]
         number, turn = source.number(self.split, unit)
+        # any numbers will do: an archived world is not drawn
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)
         mapping, original = self.recipe.mapping, dataset.manifest.mapping

@@ -233,6 +233,7 @@ def without_tokens(text: object) -> str:
     like a token."""
     from huggingface_hub import get_token
 
+    # \0 is in no printable line; an empty text would be found between all characters
     return TOKEN.sub("…", printable(text).replace(get_token() or "\0", "…"))
 
 
@@ -250,6 +251,7 @@ def _check_listing(repository: str, revision: str | None) -> None:
         info = HfApi().dataset_info(
             repository, revision=revision, files_metadata=True, timeout=TIMEOUT_S
         )
+    # an answer of the Hub, such as no permission: the download would get it, too
     except HfHubHTTPError:
         raise
     except Exception:  # versions of the client raise different errors without a network

@@ -72,6 +72,7 @@ OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """Entries that depend on the shards. All others are known before anything is drawn."""
 
 
+# dict: without it, a Struct has no `__dict__`, which cached properties write to
 class Manifest(Document, frozen=True, dict=True, kw_only=True):
     """A manifest, and the folder it was read from. `parse` and `load` return checked ones."""
 
@@ -100,6 +101,7 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
         """SHA-256 of `parameters` without the numbers of samples, so that a growing dataset keeps
         its shards. Every shard stores it as the mark of its dataset."""
         parameters = {name: value for name, value in self.parameters.items() if name != "counts"}
+        # sorted keys, as docs/format.md defines the mark: other programs compute it, too
         return sha256_of(json.dumps(parameters, sort_keys=True).encode())
 
     @property
@@ -131,8 +133,8 @@ class Manifest(Document, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def mapping(self) -> Mapper:
-        """The mapper. Raises CorruptFileError if it is invalid, or does not fit the grid and "
-        "sensor."""
+        """The mapper. Raises CorruptFileError if it is invalid, or does not fit the grid and
+        sensor."""
         mapping: Mapper = configured(Mapper, self.tables.mapping, "recipe.mapping")
         shape, max_range_m = check_sensor_entry(self.tables.lidar)
         with reraise_as(CorruptFileError):

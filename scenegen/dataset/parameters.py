@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 def plain(value: Any) -> Any:
     """Convert a value to JSON types."""
+    # a tuple becomes a list, as it is when the manifest is read again and compared
     return json.loads(json.dumps(value))
 
 
@@ -234,6 +235,7 @@ def recipe_text(recipe: RecipeEntry, title: str) -> str:
         "noise": {"stages": recipe.noise.stages} if recipe.noise else None,
         "mapping": recipe.mapping,
         "known": recipe.known,
+        # of all parts, movers alone have a table in recipe files
         "movers": recipe.parts.get("movers"),
         "grid": recipe.grid,
     }
@@ -253,6 +255,7 @@ def _toml(value: Any) -> str:
     """Write a plain value in TOML."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
+    # TOML spells inf and nan as Python does; JSON's Infinity would be no TOML
     return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 

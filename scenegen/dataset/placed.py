@@ -40,6 +40,7 @@ def write_note(
         part: Files of all shards of the job; they determine the name of the note.
         reports: Reports of the finished shards.
     """
+    # by its shards: the same job finds its note again, and jobs do not share one
     name = sha256_of("\n".join(part).encode())[:12]
     note = Note(parameters=parameters, shards=[report.entry for report in reports])
     write_atomic(folder / f"dataset.part-{name}.json", msgspec.json.encode(note))
@@ -74,6 +75,7 @@ def remove_notes(folder: Path) -> None:
 SUFFIX = ".report.json"
 AT_A_TIME = 16
 """Number of concurrent requests."""
+# 64 hexadecimal digits a sample, with room for quotes and escapes
 MAX_REPORT_BYTES = 10_000 + 80 * MAX_SAMPLES_IN_SHARD
 
 
@@ -104,6 +106,7 @@ def write_shard(place: Place, task: ShardSpec) -> ShardReport:
     """
     report = task.write(place)
     if isinstance(place, Store):
+        # last, so that no report tells of objects that are not there
         _put_report(place, task, report)
     return report
 
@@ -187,6 +190,7 @@ def _put_report(store: Store, task: ShardSpec, report: ShardReport) -> None:
         rejected={subject: dict(counts) for subject, counts in report.rejected.items()},
         digests=report.digests.hex(),
     )
+    # without a condition: it follows from its shard, so whoever wrote it said the same
     store.put(_report_name(task), msgspec.json.encode(placed))
 
 
@@ -203,6 +207,7 @@ def _read_report(
         rejected = {subject: Counter(counts) for subject, counts in placed.rejected.items()}
         digests = bytes.fromhex(placed.digests)
         report = report_of(task, placed.entry.sums, placed.size, rejected, digests)
+        # it may be an earlier dataset's, or of objects that were put anew since
         stored = sum(sizes.get(name) or 0 for name in (task.file, task.worlds))
         if (
             (placed.parameters, placed.entry) == (task.parameters, report.entry)

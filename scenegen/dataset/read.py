@@ -301,6 +301,7 @@ class Dataset(AnyDataset):
             except CorruptFileError:
                 file.close()
                 raise
+            # once: of a split with more than MAX_OPEN shards, each is opened again and again
             self._sound.add(name)
         return file
 

@@ -22,6 +22,7 @@ VERSION = 2
 
 Count = Annotated[int, Meta(ge=0, le=MAX_SAMPLES)]
 Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
+# \A and \Z: msgspec looks for a pattern anywhere in the text
 SplitName = Annotated[str, Meta(pattern=r"\A(?:train|val|test)\Z")]
 ShardSamples = Annotated[int, Meta(ge=1, le=MAX_SAMPLES_IN_SHARD)]
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
@@ -101,6 +102,7 @@ class RecipeEntry(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True)
     mapping: Json
     known: Json | None = None
     """Thresholds for known space in maps of real places; None if there are none."""
+    # safe as a default: msgspec copies an empty dict for every object
     parts: dict[str, Json] = {}
     """Settings of optional parts of samples, by name: see `scenegen.draw.parts`."""
 
@@ -115,6 +117,7 @@ class Document(_Table, frozen=True, forbid_unknown_fields=True, kw_only=True):
     seed: Seed
     counts: dict[SplitName, Count]
     """Number of samples of each split in the complete dataset."""
+    # not `recipe`: a Manifest has that name for the object that the tables describe
     tables: RecipeEntry = msgspec.field(name="recipe")
     scenes: dict[SplitName, list[SceneEntry]] | None = None
     """Worlds of each split from files; None for drawn worlds."""
@@ -157,6 +160,7 @@ def to_json(manifest: Document) -> Json:
     """The file's entries as JSON values."""
     return {
         item.encode_name: msgspec.to_builtins(getattr(manifest, item.name))
+        # of the schema alone: a Manifest has further fields, which are not stored
         for item in msgspec.structs.fields(Document)
     }
 
@@ -181,5 +185,6 @@ class Numbering:
 
     def count(self, samples: int) -> int:
         """Number of worlds of the first `samples` samples."""
+        # rounded up: the last flight may be cut
         units = -(-samples // self.viewpoints)
         return units if self.scenes is None else min(units, self.scenes)

@@ -134,6 +134,7 @@ def kept_measures(dataset: AnyDataset) -> dict[str, Floats]:
     for name in SPLITS:
         split = dataset.split(name)
         columns = [tables[piece.dataset.folder][name][own_numbers(piece)] for piece in split.pieces]
+        # an empty table first, as a split may have no pieces
         by_split[name] = np.concatenate([np.empty((0, len(COLUMNS))), *columns])
     return by_split
 
@@ -159,6 +160,7 @@ def _stored_measures(dataset: Dataset) -> dict[str, Floats]:
         table = read_npy(body)
     except (OSError, ValueError, ScenegenError):
         return {}
+    # a dtype has names: measures of a version that has others do not fit
     if table.dtype != ROW or table.shape != (sum(counts),):
         return {}
     table = table.view("<f8").reshape(-1, len(COLUMNS))
@@ -204,6 +206,7 @@ class Condition:
         )
 
     def __str__(self) -> str:
+        # all digits: rounded, two conditions with other samples could read alike
         return f"{self.name}{self.sign}{self.value!r}".removesuffix(".0")
 
     def holds(self, values: Any) -> Any:
@@ -314,6 +317,7 @@ def _by_measuring(
             break
         for number, fulfils in run(partial(_fulfils, split, conditions), chunk, workers):
             fulfilling += [number] if fulfils else []
+    # sorted, as workers finish in any order and a selection has rising numbers
     return np.array(sorted(fulfilling), np.int64)
 
 

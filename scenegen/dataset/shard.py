@@ -195,19 +195,23 @@ def put(
                 values.append(value_of(name))
             for name, column in packed.items():
                 value = value_of(name)
+                # past HDF5's own filter, as ISA-L packs several times as fast as zlib
                 column.write_direct_chunk((len(digests),) + (0,) * value.ndim, compress(value))
             digests.append(digest)
         for name, values in small.items():
             file[name][:] = np.array(values)
         joined_digests = b"".join(digests)
+        # a chunk for each sample, as of all fields: readers refuse any other
         file.create_dataset(
             DIGEST, data=np.frombuffer(joined_digests, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
         worlds = zip_reproducibly(tuple(documents.items()))
         file.attrs["split"] = spec.split
+        # the least, and not the first: worlds from files come round within a shard
         file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
+        # sorted: counts come in the order of rejections, and equal shards must have equal bytes
         file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         # the image is complete only after a flush
         file.flush()
@@ -229,6 +233,7 @@ def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d
     opened = {}
     for name, (dtype, shape) in layout.items():
         packed = not {"grid", "rays"}.isdisjoint(FIELDS[name]["axes"].split())
+        # of tables of movers, 200 KB a sample, most rows are unused
         packed |= dtype.itemsize * math.prod(shape) > LARGE_BYTES
         packing = {"compression": "gzip", "compression_opts": _LEVEL} if packed else {}
         dataset = file.create_dataset(
@@ -316,6 +321,7 @@ def read_report(folder: Path, task: tuple[ShardSpec, ShardEntry | None]) -> Shar
         return None
 
 
+# a local header: version 2.0, no flags, deflate, midnight, 1 January 1980
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"
 """First bytes of files made by `zip_reproducibly`."""
 

@@ -108,6 +108,7 @@ class State:
         rejected = {}
         for subject in ("worlds", "viewpoints"):
             counts = sum((Counter(report.rejected[subject]) for report in reports), Counter[str]())
+            # sorted: the manifest's bytes must not depend on which job wrote which shard
             rejected[subject] = dict(sorted(counts.items()))
         return msgspec.structs.replace(
             self.plan.manifest,
@@ -186,6 +187,7 @@ class State:
             return
         folder = self.plan.folder
         names = names_at(folder) if self._names is None else self._names
+        # a listing serves once, as other jobs write meanwhile
         self._names, listed = None, dict(self._listed)
         if isinstance(folder, Path):
             # the manifest takes precedence over notes of jobs
@@ -332,8 +334,10 @@ def _former_files(folder: Place, names: Set[str]) -> list[str]:
         existing = manifest.parse(manifest.read_content(folder))
     except DatasetError:
         return sorted({*shards, *({RAYS} & names)}, reverse=True)
+    # a listed file is this dataset's by name, even if it is damaged
     owned = names & existing.files.keys()
     for name in sorted(shards - owned):
+        # one less than the greatest, as stores ask for one byte more than the limit
         content = read_at(folder, name, sys.maxsize - 1)
         samples = name.replace(".worlds.zip", ".h5")
         if name == samples:

@@ -53,6 +53,7 @@ class UnitKey(NamedTuple):
             attempt: Number of the draw.
             part: Further parts of the key, such as the number of a view.
         """
+        # in the order that docs/format.md lays down
         key = SPLITS.index(self.split), self.unit, attempt, stream, *part
         # a stream for each purpose: more noise, for example, must not change the worlds
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
@@ -216,6 +217,7 @@ def times_of_scans(time_s: float, recipe: Recipe) -> Floats:
     back_m = recipe.mapping.scan_spacing_m * np.arange(recipe.mapping.scans)
     if recipe.traffic is None:
         return np.zeros(len(back_m))
+    # not before the flight began: earlier scans are taken at its start, see `Route.before`
     return np.maximum(time_s - back_m / recipe.traffic.sensor_mps, 0.0)
 
 
@@ -312,6 +314,7 @@ def _look(
         room_m = recipe.flight.robot_radius_m
         if world.movers.distances_m(pose.position[None], time_s, recipe.scan_s)[0] < room_m:
             return "mover_near"
+    # a clean scan decides, so that a noisy dataset has the viewpoints of the clean one
     (scan,) = scans_from([pose], [time_s], world, engine, recipe)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:

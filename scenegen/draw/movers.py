@@ -87,6 +87,7 @@ def mover_fields(
     )
     directions = rotate(fields["quaternion"], lidar.directions_body)
     solid = caster.solid_of(fields["position"][None], directions[None], lidar.max_range_m)[0]
+    # -1, no solid, picks the last entry: -1, no mover
     hit = np.append(movers.owner, -1)[solid].astype(np.int8)
     # the clean ray counts: noise changes ranges, and may lose a return
     hit[~np.isfinite(fields["ranges"])] = -1
@@ -102,6 +103,7 @@ def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
     part = movers.window(begin_s, end_s)
     kind = np.zeros(MAX_MOVERS, np.int8)
     solids = np.full((MAX_MOVERS, MAX_SOLIDS, 7), NO_SHAPE)
+    # NaN and not 0, at which a piece may begin: readers take the finite rows
     course = np.full((MAX_MOVERS, MAX_PIECES, 1 + CHANNELS * COEFFICIENTS), np.nan)
     kind[: len(part)] = part.kind
     rows = np.column_stack([part.shape, part.size, part.offset])
@@ -229,6 +231,7 @@ class Motion:
         now, then = (np.column_stack(self.movers.poses(self.at(t))) for t in (0.0, after_s))
         # five columns of places and headings, then those of velocities
         goes = (now != then)[:, :5].any(axis=1) | now[:, 5:].any(axis=1)
+        # -1, no mover, picks the last entry: voxels without one do not move
         moves = np.append(goes, False)
         return np.asarray(moves[self._sample.voxel_mover] | moves[self.voxels(after_s)])
 

@@ -55,6 +55,7 @@ def _stored(
     return field(metadata=metadata, default_factory=lambda: None)
 
 
+# eq=False: arrays do not compare to one truth value, and caches need samples with a hash
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sample:
     """A sample: the observed map, its ground truth, and the scans.
@@ -221,6 +222,7 @@ class Sample:
         return known.setdefault(name, value)
 
     def __dir__(self) -> list[str]:
+        # fields that nobody has read yet are completed in notebooks, too
         return [*super().__dir__(), *FIELDS]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -319,6 +321,7 @@ class Sample:
                 continue
             group_hash = hashlib.sha256(digest)
             for name in (name for name in names if name not in DERIVED):
+                # docs/format.md defines these bytes: other programs compute the digest, too
                 values = np.asarray(getattr(self, name), FIELDS[name]["dtype"], order="C")
                 # grids that every sample has count by their bits
                 packed = values.dtype == bool and not group

@@ -173,6 +173,7 @@ class SceneWorlds:
             The world.
         """
         scene = self.scenes[split][number]
+        # a tuple, as arguments of a cached function need a hash
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
 
     def describe(self) -> Json:
@@ -218,6 +219,19 @@ class SceneWorlds:
             return self
 
         def moved(split: str, number: int, scene: Scene) -> Scene:
+            """Add movers to one world.
+
+            Args:
+                split: Name of the split.
+                number: Number of the world in its split.
+                scene: The world, without movers.
+
+            Returns:
+                The world, whose document has the movers.
+
+            Raises:
+                SceneError: if they find no room.
+            """
             world = self.world(split, number, rng=np.random.default_rng(seed))
             zones = recipe.mover_zones(world.flight_bounds)
             key = [seed, SPLITS.index(split), number]
@@ -272,6 +286,7 @@ class SceneWorlds:
         flight = replace(
             recipe.flight,
             altitude_m=(min(low), max(high)),
+            # one recipe serves all maps: what fits in the narrowest fits in each
             robot_radius_m=min(flight.robot_radius_m for flight in fits),
             min_distance_m=min(flight.min_distance_m for flight in fits),
             viewpoints=min(flight.viewpoints for flight in fits),
@@ -327,6 +342,7 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
             f"flight.altitude_m = {list(flight.altitude_m)}: {name} is not free there; {bounds} "
             "would do"
         )
+    # a fixed seed: the same map gives the same flights, whatever the dataset's seed
     drawn = np.random.default_rng(0).uniform(box[0], box[1], (POINTS, 3))
     points = [point for point in drawn if place.clearance.at(*point) > 0.0]
     if not points:
@@ -355,7 +371,7 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
     ]
     keeps = "robot_radius_m" in settled
     wide_m = float(np.quantile(widths, 1 - WIDE_SHARE))
-    # rounded down, to what a person would write
+    # rounded down, to what a person would write; 1e-9, as 100 * 0.29 is a little less than 29
     radii_m = [math.floor(100 * wide_m * NARROWER**n + 1e-9) / 100 for n in range(RADII)]
     if keeps and radius_m <= max(widths):
         radii_m = [radius_m, *(smaller for smaller in radii_m if smaller < radius_m)]
@@ -364,6 +380,7 @@ def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> F
     if "min_distance_m" not in settled:
         distances_m.add(min(scans_m, flight.min_distance_m))
     most, best = 0, flight
+    # wide robots first, then long flights: the first that fits is taken
     for tried_m, distance_m in itertools.product(filter(None, radii_m), sorted(distances_m)[::-1]):
         tried = replace(flight, robot_radius_m=tried_m, min_distance_m=distance_m)
         scans = _most_scans(place, replace(recipe, flight=tried))
@@ -393,6 +410,7 @@ def _most_scans(place: Place, recipe: Recipe) -> int:
             route, flown = viewpoints(path, flight.spacing_m, rng=rng)
             accepted = list[Floats]()
             for pose in (route.pose(metres, recipe.mapping) for metres in flown):
+                # the spacing as in `draw`: without it, rooms that are too small would pass
                 gaps = [((pose.position - other) ** 2).sum() for other in accepted]
                 if min(gaps, default=math.inf) >= flight.spacing_m**2 and _is_known(
                     place, pose, recipe, known
@@ -522,12 +540,15 @@ def read_scenes(
     )
     notes += [note for scene in scenes.values() for note in scene.notes]
     lone = next(iter(scenes.values())) if len(scenes) == 1 else None
+    # a single map serves several splits, as it can be cut
     several = lone is None or lone.is_map
     splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
     if lone is not None and lone.is_map and len(splits) > 1:
         worlds: dict[str, tuple[Scene, ...]] = dict.fromkeys(SPLITS, ())
+        # at least a voxel apart, so that no voxel of a sample reaches into two splits
         regions = cut(lone, [REGIONS[split] for split in splits], max(GAP_M, voxel_m))
         worlds |= {split: (region,) for split, region in zip(splits, regions, strict=True)}
+        # who asks for samples of val or test needs the regions
         return SceneWorlds(worlds, tuple(notes), None if counts["val"] or counts["test"] else lone)
     if len(scenes) < len(splits):
         raise SceneError(

@@ -51,6 +51,7 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
         DatasetError: if a field does not exist, or its shape differs between samples.
     """
     known, schemas = samples.schema.names, samples.schemas
+    # the least of all sources: a batch may have samples of each
     after_s = min(schema.after_s for schema in schemas)
     shapes = {
         name: {schema.shape(name) if name in schema.names else None for schema in schemas}
@@ -68,6 +69,7 @@ def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSample
             raise DatasetError(
                 f"{samples}: torch() has no field {short_repr(name)}; expected {', '.join(known)}"
             )
+        # fields over time have the shape of the grid, as `occupancy` has
         if len(shapes["occupancy" if match else name]) > 1:
             alike = [field for field in known if len(shapes[field]) == 1]
             raise DatasetError(

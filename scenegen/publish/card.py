@@ -98,6 +98,7 @@ def facts(
         "paper": PAPER,
         "sentence": f"{summary['samples']} pairs of a simulated LiDAR scan and the exact truth "
         f"around it, in {worlds}, as {voxels}{maps}",
+        # three numbers, as Croissant asks for MAJOR.MINOR.PATCH
         "version": f"{VERSION}.{manifest.tables.version}.0",
         "seed": manifest.seed,
         "lidar": str(manifest.lidar),
@@ -110,6 +111,7 @@ def facts(
         "samples": summary["samples"],
         "split": next(iter(splits)),
         "data_files": "\n".join(
+            # a list in JSON is one in YAML, too
             f"  - split: {split}\n    path: {json.dumps(_shards(manifest, split))}"
             for split in splits
         ),
@@ -278,6 +280,7 @@ def croissant(values: Json, manifest: Manifest, summary: Json, sums: Mapping[str
             description="The repository on the Hub; in place of a checksum, the dataset's digest.",
             contentUrl=f"{url}/tree/{tag}",
             encodingFormat="git+https",
+            # Croissant demands a checksum of every file, and a repository has none
             sha256=manifest.digest,
         )
     ]
@@ -324,6 +327,7 @@ def _node(kind: str, name: str, **properties: Any) -> Json:
 
 def _field(split: str, name: str, meta: Json) -> Json:
     """Return a field of a split's samples; its column is the name of its HDF5 dataset."""
+    # Croissant's own names of types: cr:UInt8, cr:Float32
     kind = meta["dtype"]
     node = {
         "@type": "cr:Field",

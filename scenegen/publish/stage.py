@@ -305,10 +305,12 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
         Raises:
             PublishError: It is missing, or has another digest.
         """
+        # the file behind a link, as the folder to send must hold no links
         original, copy = real_path(source / name), draft / name
         make_parent(copy)
         if original.is_file():
             try:
+                # a hard link takes no space on the disk
                 os.link(original, copy)
             except OSError:  # another disk, or links are not allowed
                 shutil.copyfile(original, copy)
@@ -318,6 +320,7 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
             )
 
     with ThreadPoolExecutor() as pool:
+        # a list: an error in a thread is raised only when its result is taken
         list(pool.map(copy_checked, names))
 
 
@@ -332,6 +335,7 @@ def seal(draft: Path, known: Mapping[str, str]) -> dict[str, int]:
         Size of every file in bytes, by name.
     """
     names = sorted(str(path.relative_to(draft)) for path in draft.rglob("*") if path.is_file())
+    # two spaces: the format of sha256sum, which checks the folder without scenegen
     lines = [f"{known.get(name) or file_sha256(draft / name)}  {name}\n" for name in names]
     write_atomic(draft / SUMS, "".join(lines).encode())
     return {name: (draft / name).stat().st_size for name in [*names, SUMS]}

@@ -75,6 +75,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
 
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
+    # None and not False: it leaves an organisation's own default as it is
     api.create_repo(**where, private=private or None, exist_ok=True)
     info = api.dataset_info(repository)
     if private and not info.private:
@@ -113,6 +114,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
             parent_commit=head,
             **where,
         ).oid  # a parent: the Hub refuses if another publisher's commit came in between
+    # listed once more: the client does not check that all arrived, and a tag is for ever
     if wrong := differences(api, staged, head):
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
@@ -137,6 +139,7 @@ def differences(api: Any, staged: Staged, revision: str) -> list[str]:
     tree = api.list_repo_tree(
         staged.repository, repo_type="dataset", recursive=True, revision=revision
     )
+    # the tree has folders, too, which are no blobs
     entries = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
     sums = read_sums(staged.folder)
 

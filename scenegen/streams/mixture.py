@@ -155,6 +155,7 @@ class Ahead:
             except (EOFError, OSError):
                 self._replace(worker)
                 continue
+            # the oldest request: a worker answers in the order of its pipe
             self._done[self._given[worker].popleft()] = answer
 
     def _replace(self, worker: Worker) -> None:
@@ -223,6 +224,7 @@ class Component(Units):
             "seed": self.seed,
             "generator": GENERATOR,
             "recipe": msgspec.to_builtins(recipe_entry(self.recipe)),
+            # without the engine: all give the same rays, so a saved position holds with each
             "scenes": self.source.describe(),
         }
 
@@ -286,6 +288,7 @@ def component_of(entry: Any, *, seed: int, split: str, engine: str) -> Component
 
 def _scenes(path: Path, seed: int) -> SceneWorlds:
     """Worlds of a file or folder, divided as `generate` does."""
+    # any number above 0: only which splits have samples decides how worlds are divided
     counts: dict[str, int | None] = dict.fromkeys(SPLITS, 1)
     if path.is_dir():
         if len(world_files(path)) < MIN_SCENES:

@@ -147,6 +147,7 @@ class Stream(Samples):
 
     def expect(self, indices: Iterable[int]) -> None:
         """Announce which samples will be read, in this order. Workers then draw them in advance."""
+        # a generator: there may be 10**9 samples
         self._coming = (self.mixture.place(index)[0] for index in indices)
 
     def close(self) -> None:

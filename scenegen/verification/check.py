@@ -88,6 +88,7 @@ class Task:
     seed: int
     twins_of: int
     """Every n-th sample is compared with other splits, where n is this number."""
+    # by name: every process imports them for itself
     own: tuple[str, ...] = ()
     """The user's checks, as ``module:Object``."""
 
@@ -157,6 +158,7 @@ class Worlds:
                     f"{worlds} worlds, expected one a sample at most, {max_worlds}"
                 )
             assets = {member: members.read(member) for member in members}
+            # a list of the names, as documents are popped from what is walked
             documents = {
                 int(name[:-4]): assets.pop(name) for name in [*assets] if name.endswith(".xml")
             }
@@ -266,6 +268,7 @@ def times_of(contract: Manifest, stored: Callable[[str], Any]) -> Floats:
     """
     if "movers" in contract.parts:
         times_s = np.asarray(stored("scan_times"), np.float64)
+        # negated, so that NaN is refused
         if not ((times_s >= 0) & (times_s <= MAX_TIME_S)).all():
             raise CorruptFileError(f"scan_times: expected 0 to {MAX_TIME_S:g} s")
         return times_s
@@ -337,4 +340,5 @@ class Sample:
     def seen(self) -> ObservedGrid:
         """Map that follows from the stored scans. Raises CorruptFileError if a pose is invalid."""
         contract = self.contract
+        # oldest first, as when the sample was made
         return fuse(self.scans[::-1], contract.grid, self.fields["origin"], contract.mapping)

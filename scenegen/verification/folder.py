@@ -85,6 +85,7 @@ Findings = tuple[int, Ledger]
 """Result of one shard: its position in the manifest, and its ledger."""
 
 
+# MuJoCo would append its warnings to a file in the working folder
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
     """Make all checks of one shard. Damaged files become faults, not errors.
@@ -197,6 +198,7 @@ def verify(
     ]
     samples = sum(walk.samples for walk in walks)
     for number, walk in enumerate(walks):
+        # once, with the samples of all datasets: one bar shows the progress of all
         walk.run((lambda: on_start(samples)) if number == 0 else (lambda: None), on_done)
     outcomes = [outcome for walk in walks for outcome in walk.outcomes]
     if len(walks) > 1:
@@ -217,6 +219,7 @@ def _folders_of(name: Any, kind: str | None) -> list[tuple[Path, str | None]]:
     folder = locate(name)
     if (folder / NAME).exists():
         return [(folder, kind)]
+    # incomplete datasets, too: what they lack is a fault to report
     datasets = open_data(name, partial=True).datasets
     kinds = dict.fromkeys(dataset.manifest.kind for dataset in datasets)
     if kind is not None and kind not in kinds:

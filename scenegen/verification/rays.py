@@ -173,6 +173,7 @@ class MovingAuditor:
             self._data.mocap_pos[m] = x, y, z
             self._data.mocap_quat[m] = math.cos(half), 0.0, 0.0, math.sin(half)
         mujoco.mj_kinematics(self._model, self._data)
+        # moves the bodies' bounding volumes, too, by which MuJoCo's rays pass bodies by
         mujoco.mj_comPos(self._model, self._data)
 
 

@@ -204,6 +204,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
     if why := why_not_made(task.contract):
         page.skipped = why
         return
+    # not `Shard.rng`, whose next numbers depend on the checks that are made
     rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)

@@ -47,6 +47,7 @@ def signature(mask: Mask) -> NDArray[np.int32]:
     sums, blocks = mask, np.zeros(BLOCKS, np.int32)
     for axis in (2, 1, 0):  # contiguous axis first: it is the fastest, and shrinks the array
         count, parts = mask.shape[axis], BLOCKS[axis]
+        # rounded up, so that there are `parts` blocks at most
         begins = range(0, count, -(-count // parts))
         sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.int32)
     # small maps have fewer blocks; the others stay 0
@@ -162,6 +163,7 @@ def world_digests(contract: Manifest, page: Page) -> Iterator[tuple[str, bytes]]
 def _in_one_split(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
+    # as texts, which NumPy sorts whole; it drops trailing zeros, but of all alike
     digests = np.frombuffer(
         b"".join(shard_digests for _, shard_digests, *_ in page.kept), f"S{DIGEST_BYTES}"
     )
@@ -261,6 +263,7 @@ def _find_twins(
 
     twins = []
     for pair in pairs:
+        # observed voxels first: maps of flat floor agree in what is occupied, and seldom in these
         seen_iou = overlap(*maps("observed", *pair))
         if seen_iou < OBSERVED_IOU:
             continue

@@ -45,6 +45,7 @@ LEAN = 1e-9
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
+    # not by `Sample.sha256`, which made it: two programs must agree on docs/format.md
     content_hash = sample.content.copy()
     for name in ("world", "viewpoint"):
         content_hash.update(sample.fields[name].tobytes())
@@ -111,6 +112,7 @@ def _centred(sample: Sample, page: Page) -> None:
     offset_m = float(np.abs(fields["origin"] - expected).max())
     reference = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
     page.expect(
+        # no tolerance: `origin` follows from the pose bit for bit
         offset_m == 0.0,
         f"{sample.where}: origin is {offset_m:.3g} m from {reference} less half the grid",
     )

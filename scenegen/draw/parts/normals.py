@@ -50,9 +50,11 @@ class NormalsPart:
         times = fields.get("scan_times")
         directions = rotate(fields["quaternion"], lidar.directions_body)
         time_s = 0.0 if times is None else float(times[0])
+        # the analytic engine alone tells normals, whichever engine cast the ranges
         engine: Any = caster_at(world, AnalyticEngine.of, recipe, time_s)
         origin = np.asarray(fields["position"])[None]
         hits = engine.hits(origin, directions[None], lidar.max_range_m)
+        # NaN where a ray hits nothing; the format has zeros there
         normals = np.nan_to_num(hits.normals[0]).astype("<f4")
         normals[~np.isfinite(fields["ranges"])] = 0.0
         return {"return_normal": normals}
