@@ -42,13 +42,13 @@ from scenegen.draw.draw import (
     truth_of,
 )
 from scenegen.draw.source import DrawnWorlds, Source
-from scenegen.worlds.flight import fly, viewpoints
+from scenegen.worlds.flight import Sees, fly, viewpoints
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld
 
 
 def fly_again(
-    world: AnyWorld, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
+    world: AnyWorld, poses: Sequence[Pose], recipe: Recipe, key: UnitKey, sees: Sees | None
 ) -> list[list[Pose]]:
     """Repeat the flight of a unit, to find the poses of earlier scans that were not stored.
 
@@ -59,6 +59,7 @@ def fly_again(
         poses: Stored pose of each sample.
         recipe: Gives the flight, and the mapping that needs earlier scans.
         key: Key of the unit's random numbers.
+        sees: What the original's recipe tells of the world, see `Recipe.sees`.
 
     Returns:
         For each sample its own pose, then those of earlier scans, latest first.
@@ -70,7 +71,7 @@ def fly_again(
         # the random numbers of `draw_unit`, which give the same flights
         rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
-            path = fly(world, recipe.flight, rng=rng)
+            path = fly(world, recipe.flight, rng=rng, sees=sees)
             if path is None:
                 continue
             route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
@@ -192,7 +193,9 @@ class ScanAgain(ShardSpec):
         # stored earlier poses serve if the new mapping needs no others
         if mapping.scans > original.scans or mapping.scan_spacing_m != original.scan_spacing_m:
             own_poses = [stored[0] for stored in poses]
-            poses = fly_again(world, own_poses, self.recipe, key)
+            # in a map, flights end where the original's sensor saw enough, not another one
+            sees = dataset.manifest.recipe.sees(world)
+            poses = fly_again(world, own_poses, self.recipe, key, sees)
             times = [times_of_scans(float(own[0]), self.recipe) for own in times]
         return scan_again(
             world,

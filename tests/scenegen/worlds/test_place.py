@@ -10,8 +10,9 @@ from scipy.ndimage import label
 import scenegen
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from scenegen import SPLITS
-from scenegen.dataset.build import plan_dataset
+from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.generation import plan_generation
+from scenegen.dataset.like import plan_like
 from scenegen.draw.source import SceneWorlds
 from scenegen.publish.stage import Request, stage
 from scenegen.verification import verify
@@ -234,3 +235,13 @@ def test_an_npz_of_something_else_is_no_map(tmp_path):
     scan = (tmp_path / "scan.npz").read_bytes()
     for case, content in {"scan": scan, "empty": b"", "damaged": b"PK\x03\x04" * 9}.items():
         refuses(case, parse_npz, content, "scan.npz")
+
+
+def test_flights_in_maps_are_flown_again_for_more_scans(tmp_path):
+    scene = write_map(tmp_path / "hall.npz", hall())
+    once = built(plan_of(tmp_path, scene, 4, val=0, test=0))
+    twice = built(
+        plan_of(tmp_path, scene, 4, "mapping.scans = 2", val=0, test=0, out=tmp_path / "2")
+    )
+    like = build(plan_like(once.folder, tmp_path / "like", mapping={"scans": 2}))
+    assert like.digest == twice.digest != once.digest
