@@ -312,8 +312,8 @@ def _fly(
     with Progress("fly", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
-    crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
-    _show(flown, name, robot_settings, hidden=hidden, crew=crew, files=[out], **drawing)
+    # without a bar, for the difficulties of courses in --json
+    _show(flown, name, robot_settings, hidden=hidden, crew=crew_of(execute), files=[out], **drawing)
 
 
 def _braking(brakes: bool, doubt: float | None) -> float | None:
