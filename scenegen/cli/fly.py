@@ -14,7 +14,7 @@ from lidarsim.parameters import Bounds
 from lidarsim.registry import Registry
 from scenegen.base.errors import ScenegenError
 from scenegen.base.executors import Executor, check_together
-from scenegen.base.files import check_free, write_result
+from scenegen.base.files import write_result
 from scenegen.cli.bench import Weights
 from scenegen.cli.options import (
     WORLD,
@@ -36,6 +36,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, Number, OutputFile
 from scenegen.fly import SUITES, TRACKS, Rules, Vehicle
+from scenegen.logs import check_log
 from scenegen.model.robots import (
     BRAKING,
     LEAST_DOUBT,
@@ -292,9 +293,12 @@ def _fly(
     track: str = "",
     **drawing: Any,
 ) -> None:
-    """Fly through courses, record the flights, and print and draw them."""
+    """Fly through courses, record the flights, and print and draw them. Raises UsageError for a
+    recording whose name does not end in .json."""
     from scenegen.model.robots.flights import check_begins, crew_of, fly_courses, real_course
 
+    if out is not None and out.suffix != ".json":
+        raise click.UsageError(f"-o {out}: expected a name that ends in .json")
     robot_settings = robot, weights, _braking(brakes, doubt)
     name, network, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     # wrong robots and worlds are refused here, before any worker starts
@@ -310,8 +314,8 @@ def _fly(
     with Progress("fly", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
-    crew = crew_of(execute)  # without a bar, for the difficulties of courses in --json
-    _show(flown, name, robot_settings, hidden=hidden, crew=crew, files=[out], **drawing)
+    # without a bar, for the difficulties of courses in --json
+    _show(flown, name, robot_settings, hidden=hidden, crew=crew_of(execute), files=[out], **drawing)
 
 
 def _braking(brakes: bool, doubt: float | None) -> float | None:
@@ -336,7 +340,7 @@ def _begin(
 
     Raises:
         UsageError: Options contradict each other.
-        ScenegenError: The log exists, or there is no such network.
+        ScenegenError: The log exists or has a wrong name, or there is no such network.
     """
     from scenegen.dataset.locate import file_sha256
     from scenegen.model.completion.completer import locate
@@ -354,7 +358,7 @@ def _begin(
             "completes only the last scan, or --robot sampling, which plans by RRT*"
         )
     if log is not None:
-        check_free(log)  # before the flights: a log is never replaced
+        check_log(log)  # before the flights: a log is never replaced
     check_together(execute, "a row of flights takes")
     if verbose:
         announce_compilation()

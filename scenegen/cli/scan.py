@@ -30,7 +30,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, Reporter, echo, flat, info, show_columns, show_table
 from scenegen.cli.types import FILE, Choice, Named, Numbers, OutputFile
 from scenegen.convert import Choices
-from scenegen.logs import Cruise
+from scenegen.logs import Cruise, check_log
 from scenegen.worlds.traffic import PRESETS
 
 if TYPE_CHECKING:
@@ -286,7 +286,9 @@ def scan(
     from scenegen.worlds.tables import named_lidar, named_noise
 
     out = out or Path("log" if sequence else "scan.ply")
-    if not sequence and out.suffix not in SUFFIXES:
+    if sequence:
+        check_log(out)
+    elif out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain, maker = named_noise(noise, sensor), find_engine(engine)
@@ -308,10 +310,8 @@ def _write_log(
     out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, verbose: bool
 ) -> "Json":
     """Record a log; return facts of it."""
-    from scenegen.base.files import check_free
     from scenegen.logs.record import cruise_poses, out_of_the_way, period_s, record, write_log
 
-    check_free(out)
     # KITTI's points are deskewed, while drivers of ROS publish them raw
     corrected = out.suffix != ".mcap"
     if not corrected:

@@ -34,6 +34,8 @@ from scenegen.worlds.mapping import Sensing
 if TYPE_CHECKING:
     from scenegen.worlds.world import AnyWorld
 
+INCOMPLETE = "incomplete; give the command that made it again to go on where it was"
+
 
 def advised(
     folder: Path, mark: str = "/", of: Any = CorruptFileError
@@ -199,10 +201,7 @@ class Dataset(AnyDataset):
             # computed now, so that a damaged manifest fails here and not on access
             _ = self.manifest.schema
         if not (self.manifest.complete or partial):
-            raise DatasetError(
-                f"{self.folder}: incomplete; give the command that made it again to go on where "
-                f"it was"
-            )
+            raise DatasetError(f"{self.folder}: {INCOMPLETE}")
 
     @property
     def digest(self) -> str:

@@ -6,9 +6,12 @@ sensors, and `fuse` makes maps of them.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lidarsim.parameters import MIN_RETURN_M, Checked, check, number
+from scenegen.base.errors import DatasetError
+from scenegen.base.files import check_free
 from scenegen.base.limits import MAX_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
@@ -100,3 +103,16 @@ class Fusing:
                 f"one scan would take more than {MAX_PLACE_VOXELS} voxels; expected larger "
                 "voxels, or a shorter reach or rise"
             )
+
+
+def check_log(path: Path) -> None:
+    """Check that a log can be written: nothing is there, and the name is of a folder or an .mcap
+    file.
+
+    Raises:
+        DatasetError: if it cannot.
+    """
+    # letters after the last point: the name of a file, not of a folder such as v0.5
+    if path.suffix != ".mcap" and path.suffix[1:2].isalpha():
+        raise DatasetError(f"{path}: expected a name that ends in .mcap, or has no suffix")
+    check_free(path)

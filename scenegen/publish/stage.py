@@ -259,8 +259,8 @@ def check_out(dataset: Path, out: Path) -> None:
         out: The folder to write.
 
     Raises:
-        PublishError: `out` is a file, overlaps the dataset, or has files that publish did not
-            write.
+        PublishError: `out` is a file, overlaps the dataset, or has another dataset, or files that
+            publish did not write.
     """
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
@@ -278,6 +278,10 @@ def check_out(dataset: Path, out: Path) -> None:
         raise PublishError(
             f"--out {out}: holds {min(foreign)}, which publish did not put there; choose another "
             "folder"
+        )
+    if (held := out / NAME).exists() and held.read_bytes() != (dataset / NAME).read_bytes():
+        raise PublishError(
+            f"--out {out}: holds another dataset; remove it, or choose another folder"
         )
 
 

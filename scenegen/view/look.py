@@ -16,7 +16,7 @@ from scenegen import SPLITS
 from scenegen.base.errors import DatasetError, ScenegenError, printable
 from scenegen.base.files import Json
 from scenegen.dataset.collection import open_data
-from scenegen.dataset.read import AnyDataset, Split
+from scenegen.dataset.read import INCOMPLETE, AnyDataset, Split
 from scenegen.draw.sample import Sample
 from scenegen.draw.scored import certain_distances, scored_voxels
 
@@ -334,6 +334,8 @@ def looks(
         DatasetError: The split has no such index, or none of the samples can be read.
     """
     samples, readable, notes = dataset.split(split), [], incomplete(dataset, split)
+    if notes and not len(samples):
+        raise DatasetError(f"{dataset.name}: {notes[0]}")
     for index in indices:
         try:
             readable.append(look_into(samples, index, guesses))
@@ -381,7 +383,9 @@ def incomplete(dataset: AnyDataset, split: str) -> list[str]:
     if all(part.manifest.complete for part in dataset.datasets):
         return []
     count = len(dataset.split(split))
-    return [f"the dataset is incomplete: its {split} split has {count} samples so far"]
+    # shards that a killed run finished may be there, but the manifest lists none of them yet
+    so_far = f"the dataset is incomplete: its {split} split has {count} samples so far"
+    return [so_far if count else INCOMPLETE]
 
 
 def evenly(count: int, limit: int) -> list[int]:

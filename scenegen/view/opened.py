@@ -94,7 +94,7 @@ def looks_of_scans(folder: Path, columns: int | None = None, **reading: Any) -> 
         reading: Arguments of `read_log`.
 
     Raises:
-        DatasetError: A file cannot be read, or has no returns.
+        DatasetError: A file cannot be read, has no returns, or is a map.
     """
     from scenegen.worlds.clouds import scans_in
 
@@ -102,8 +102,10 @@ def looks_of_scans(folder: Path, columns: int | None = None, **reading: Any) -> 
         return looks_of_log(folder, columns=columns, **reading)
 
     paths = scans_in(folder)
-    chosen = evenly(len(paths), MAX_FRAMES)
-    frames = [look for n in chosen for look in looks_of_scan(paths[n], columns)]
+    chosen = [paths[n] for n in evenly(len(paths), MAX_FRAMES)]
+    if place := next(filter(is_map, chosen), None):
+        raise DatasetError(f"{folder}: holds the map {place}; give that, or a folder of scans only")
+    frames = [look for path in chosen for look in looks_of_scan(path, columns)]
     return _noted(frames, len(paths))
 
 

@@ -387,7 +387,7 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
         arrays = read_npz(content, *PARTS, max_bytes=MAX_PLACE_VOXELS + MAX_NPY_HEADER_BYTES)
     except Exception as error:  # errors of zipfile and zlib, and any that a crafted file may raise
         raise SceneError(
-            f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
+            f"{name}: not an .npz map ({printable(error)[:300]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
     for array, (part, (dtype, dimensions)) in zip(arrays, PARTS.items(), strict=True):

@@ -48,7 +48,7 @@ def read_npz(content: bytes, *names: str, max_bytes: int) -> list[np.ndarray]:
 
 def _missing(name: str, members: list[str]) -> str:
     """Word the message for an archive without the array `name`."""
-    if "states.npy" in members:  # see `scenegen.worlds.place`
+    if "states.npy" in members and name == "points":  # see `scenegen.worlds.place`
         return (
             f"a map that scenegen map made, expected an array {name}; scenegen inspect tells of "
             "maps, scan and generate --scene fly through them"

@@ -179,6 +179,9 @@ def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
     for out in (dataset, dataset / "inside", dataset.parent):
         refuses(out.name, stage, replace(asked, out=out), CHECKS)
     assert Dataset(dataset).manifest.complete
+    (asked.out / "notes.md").unlink()
+    edit_at(dataset, "digest", json.dumps("0" * 64))
+    refuses("another", stage, asked, CHECKS)
 
 
 def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):

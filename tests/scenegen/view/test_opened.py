@@ -178,7 +178,10 @@ def test_a_page_replaces_no_other_file(capsys, saved):
 
 def test_view_refuses_options_of_datasets_and_what_it_cannot_show(capsys, saved, made, tmp_path):
     (tmp_path / "recipe.toml").write_text("kind = 'pillar'\n")
+    (ingested := tmp_path / "ingested").mkdir()
+    np.savez(ingested / "place-000.npz", states=0)
     for words, line in {
+        f"{ingested}": "place-000.npz; give that",
         f"{saved(POINTS)} --split test": "--split: is not for the type scan",
         f"{made} --columns 4": "--columns: is not for the type dataset",
         f"{tmp_path}/recipe.toml": "recipe",

@@ -20,6 +20,7 @@ from scenegen.view.page import HERE, page
 from scenegen.worlds.movers import encoded
 from tests.refusals import refuses, refuses_command
 from tests.scenegen.test_moving_samples import moving as moving  # a fixture
+from tests.scenegen.verification.forge import edit_manifest
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%%DATA%%&amp;\u2028"
 
@@ -168,7 +169,10 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, standing, cap
     assert Seen(page(shown, title="", notes=notes)).data()["notes"] == notes
     for index in (4, 11):
         refuses_command(capsys, f"view data/pillar --index {index} -o no.html")
-    assert not (standing / "no.html").exists()
+    edit_manifest(dataset, shards=[], complete=False)
+    for words in ("view data/pillar -o no.html", "render data/pillar -o no.png"):
+        refuses_command(capsys, words)
+    assert not list(standing.glob("no.*"))
 
 
 def test_what_cannot_be_shown_is_an_error(made, look):

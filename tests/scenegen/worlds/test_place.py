@@ -232,8 +232,14 @@ def test_damaged_npz_maps_are_refused(tmp_path, name, value):
 
 def test_an_npz_of_something_else_is_no_map(tmp_path):
     np.savez(tmp_path / "scan.npz", points=np.zeros((4, 3)))
-    scan = (tmp_path / "scan.npz").read_bytes()
-    for case, content in {"scan": scan, "empty": b"", "damaged": b"PK\x03\x04" * 9}.items():
+    np.savez(tmp_path / "part.npz", states=hall())
+    scan, part = ((tmp_path / name).read_bytes() for name in ("scan.npz", "part.npz"))
+    for case, content in {
+        "scan": scan,
+        "part": part,
+        "empty": b"",
+        "damaged": b"PK\x03\x04" * 9,
+    }.items():
         refuses(case, parse_npz, content, "scan.npz")
 
 
