@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.voxelization import sort_points
-from scenegen.base.errors import DatasetError, as_own_code_error
+from scenegen.base.errors import DatasetError, own_code
 from scenegen.draw.sample import Sample
 from scenegen.model.config import INPUTS, is_own, named
 from scenegen.truth import distance_field
@@ -174,15 +174,12 @@ def input_called(name: str) -> Channel:
             OwnCodeError: The user's code failed.
             DatasetError: It is not a map of finite numbers.
         """
-        try:
+        expected = f"expected finite numbers of shape {grid.shape}"
+        # a loader process hands over no traceback
+        with own_code(f"input {name}: {expected} from a function (seen, grid, sensor)"):
             values = np.asarray(function(seen, grid, sensor), np.float32)
-        except Exception as error:  # a loader process hands over no traceback
-            raise as_own_code_error(error) from None
         if values.shape != grid.shape or not np.isfinite(values).all():
-            raise DatasetError(
-                f"input {name}: gives an array of shape {values.shape}, expected finite numbers "
-                f"of shape {grid.shape}"
-            )
+            raise DatasetError(f"input {name}: gives an array of shape {values.shape}, {expected}")
         return values
 
     return checked

@@ -22,7 +22,7 @@ import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
 
 from lidarsim import GridSpec
-from scenegen.base.errors import ScenegenError
+from scenegen.base.errors import ScenegenError, own_code
 from scenegen.base.executors import processor
 from scenegen.model.config import (
     LEVELS,
@@ -100,16 +100,18 @@ def build(config: NetworkConfig) -> nn.Module:
         by `target_name`.
 
     Raises:
-        ScenegenError: if `config` names no network.
+        ScenegenError: if `config` names no network, or the user's code fails.
     """
-    network = named(NETWORKS, config.variant)(config)
+    who = f"variant {config.variant}"
+    with own_code(f"{who}: cannot be made of a NetworkConfig"):
+        network = named(NETWORKS, config.variant)(config)
     if not isinstance(network, nn.Module):
-        raise ScenegenError(
-            f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
-        )
+        raise ScenegenError(f"{who}: makes {type(network).__name__}, expected a torch.nn.Module")
     network.register_forward_pre_hook(_without_truth)
+    if not isinstance(tasks := getattr(network, "tasks", TASKS), list | tuple):
+        raise ScenegenError(f"{who}: tasks = {tasks!r:.60}: expected a tuple, such as {TASKS}")
     # attributes are set here, so that a user's own class need not do it
-    network.tasks = tuple(dict.fromkeys((*getattr(network, "tasks", TASKS), *config.targets)))
+    network.tasks = tuple(dict.fromkeys((*tasks, *config.targets)))
     network.config, network.targets = config, targets_of(network.tasks)
     return network
 

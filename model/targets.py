@@ -23,9 +23,11 @@ from scenegen.base.errors import (
     DatasetError,
     MissingPartError,
     ScenegenError,
-    as_own_code_error,
+    check_int,
+    own_code,
     reraise_as,
 )
+from scenegen.base.limits import MAX_CLASSES
 from scenegen.draw.sample import Sample
 from scenegen.model.config import HORIZONS, TARGETS, is_own, named, target_name
 from scenegen.model.inputs import turned
@@ -299,11 +301,12 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
     """
     fault: Exception
     try:
-        truth = np.asarray(target.truth(sample, grid))
+        with own_code(f"target {name}: expected a method truth(sample, grid)"):
+            truth = np.asarray(target.truth(sample, grid))
     except MissingPartError:
         raise
     except Exception as error:  # a loader process hands over no traceback
-        fault = as_own_code_error(error)
+        fault = error
     else:
         if truth.shape[-3:] == grid.shape and truth.ndim <= 4 and truth.dtype.kind in "fiub":
             return truth
@@ -322,6 +325,32 @@ def truth_of(target: Target, name: str, sample: Sample, grid: GridSpec) -> NDArr
             f"have ({fault})"
         )
     raise fault
+
+
+def turned_truth(name: str, truth: NDArray[Any], symmetry: int) -> NDArray[Any]:
+    """Turn the truth of a target with its map; see `Target.turned`.
+
+    Args:
+        name: Name of the target.
+        truth: The truth.
+        symmetry: See `scenegen.model.inputs.turned`.
+
+    Returns:
+        The turned truth, contiguous, of the same shape.
+
+    Raises:
+        DatasetError: It has another shape.
+        OwnCodeError: The target's code failed.
+    """
+    who = f"target {name}: turned(truth, symmetry)"
+    with own_code(f"{who} fails"):
+        turned_map = np.ascontiguousarray(target_called(name).turned(truth, symmetry))
+    if turned_map.shape != truth.shape or turned_map.dtype.kind not in "fiub":
+        raise DatasetError(
+            f"{who} gives an array of {turned_map.dtype} of shape {turned_map.shape}, expected "
+            f"numbers of shape {truth.shape}"
+        )
+    return turned_map
 
 
 WITH = {
@@ -364,11 +393,13 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
         The number.
 
     Raises:
-        DatasetError: The datasets do not agree, or lack a part that the target needs.
+        DatasetError: The datasets do not agree, or lack a part that the target needs; or it is no
+            number from 1 to `MAX_CLASSES`.
     """
     channels = target_called(name).channels
+    label = f"target {name}: channels"
     if not callable(channels):
-        return channels
+        return check_int(label, channels, 1, MAX_CLASSES)
     try:
         first, *further = [channels(settings) for settings in parts]
     except Exception as error:
@@ -385,7 +416,8 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
             "datasets that "
             "share them"
         )
-    return first if isinstance(first, int) else len(first)
+    listed = isinstance(first, Sequence) and not isinstance(first, str)
+    return check_int(label, len(first) if listed else first, 1, MAX_CLASSES)
 
 
 BUILT_IN: dict[str, Target] = {"occupancy": Occupancy(), "tudf": Tudf()}

@@ -16,7 +16,8 @@ from scipy import ndimage
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
-from scenegen.base.errors import ScenegenError, as_own_code_error
+from lidarsim.parameters import short_repr
+from scenegen.base.errors import ScenegenError, own_code
 from scenegen.model.bench.statistics import Scale
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import (
@@ -318,6 +319,11 @@ def metrics_of(targets: Mapping[str, Target], names: Sequence[str] = ()) -> dict
     if targets.keys() & HORIZONS.keys():
         of_targets["ghosts"] = Metric("ghosts kept", ghosts, better="lower", bench_only=True)
     for target, kind in targets.items():
+        if not isinstance(kind.metrics, Mapping):
+            raise ScenegenError(
+                f"target {target}: metrics = {short_repr(kind.metrics)}: expected a dict of "
+                "functions by name"
+            )
         for name, metric in kind.metrics.items():
             short, label = f"{target}_{name}", f"{name} of the target {target}"
             of_targets[short] = _own_metric(label, short, metric, (*FIGURES, *of_targets))
@@ -377,10 +383,8 @@ def measure(
 def _value(metric: Metric, case: "ScoredMap | Sums") -> float:
     """A metric of a map or a region; a user's own code may fail, and a worker hands over no
     traceback."""
-    try:
+    with own_code(f"metric {metric.title}: expected a function of a map"):
         value: Any = metric.of(case)  # a user's own may return anything
-    except Exception as error:
-        raise as_own_code_error(error) from None
     try:
         return float(value)
     except (TypeError, ValueError):

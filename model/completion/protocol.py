@@ -204,7 +204,7 @@ def check_prediction(
     if isinstance(answer.calibration, StoredProbability):  # one computed here needs no check
         parts["probability"] = answer.calibration.probability
     for name, values in parts.items():
-        if values is None:
+        if values is None and name not in answer.others:
             continue
         target = BUILT_IN["occupancy"] if name == "probability" else PARTS.get(name, Target)
         target = targets.get(name, target)

@@ -24,7 +24,7 @@ from scenegen.draw.sample import Sample, rng_of
 from scenegen.model.config import TrainConfig, target_name
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
-from scenegen.model.targets import BUILT_IN, channels_of, target_called, true_map
+from scenegen.model.targets import BUILT_IN, channels_of, true_map, turned_truth
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.kinds import find_kind, kind_names
@@ -222,7 +222,7 @@ class Maps(Dataset):
         batch = {name: turned(values, turn) for name, values in maps.items()}
         # vectors of a user's own target must turn, too, not only their places
         for name, values in truth.items():
-            batch[target_name(name)] = target_called(name).turned(values, turn)
+            batch[target_name(name)] = turned_truth(name, values, turn)
         return {name: torch.from_numpy(values) for name, values in batch.items()}
 
     def channels(self) -> tuple[int, ...]:

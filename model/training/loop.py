@@ -20,6 +20,7 @@ from scenegen.base.errors import (
     StoppedError,
     empty_split,
     is_out_of_memory,
+    own_code,
     reraise_as,
 )
 from scenegen.base.executors import commit, installed, software
@@ -428,7 +429,8 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
 
 
 def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device) -> None:
-    """Try a user's own network, target, metrics or loss on one map: faults are reported at once.
+    """Try a user's own network, inputs, target, metrics or loss on one map: faults are reported at
+    once.
 
     Does nothing if all of them come with scenegen.
 
@@ -441,13 +443,15 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     Raises:
         TrainingError: if shapes, types or values are invalid, if a term of the loss has a reserved
             name, or if the loss does not depend on a weight.
-        ScenegenError: if a metric of a target fails, or its name is taken.
+        ScenegenError: if the user's code fails, or the name of a target's metric is taken.
     """
     variant, objective = config.network.variant, config.loss.objective
-    if not (is_own(variant) or is_own(objective) or config.network.targets):
+    targets = config.network.targets
+    if not (targets or any(map(is_own, (variant, objective, *config.network.inputs)))):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    raw = network.eval()(batch)
+    with own_code(f"variant {variant}: expected a method forward(batch)"):
+        raw = network.eval()(batch)
     # a result of another kind is compared below like one of a wrong shape
     output = Output(*raw) if isinstance(raw, tuple) and len(raw) in (2, 3) else Output(raw, None)
     shapes = {name: getattr(values, "shape", values) for name, values in output.by_target.items()}
@@ -463,7 +467,8 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     if not shapes.keys() & BUILT_IN.keys():
         raise TrainingError(f"variant {variant}: expected occupancy, tudf or both among its tasks")
     # the same check as for predictions of any method: probabilities from 0 to 1, finite numbers
-    with torch.no_grad(), reraise_as(TrainingError, of=PredictionError):
+    failing = own_code(f"target {', '.join(targets)}: expected a method prediction(output, grid)")
+    with torch.no_grad(), reraise_as(TrainingError, of=PredictionError), failing:
         predicted = output.predictions(network.targets, maps.grid)
         check_prediction(Prediction.of(predicted), (1, *maps.grid.shape), f"variant {variant}")
     for name, value in network.state_dict().items():  # files hold no other types
@@ -471,17 +476,32 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             raise TrainingError(
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
-    terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
-    steps = summed(network.training_step(batch)) if hasattr(network, "training_step") else {}
     taken = {*metrics_of(network.targets), *FIGURES}
-    for name, value in [*terms.items(), *steps.items()]:
-        if not isinstance(value, Tensor) or value.ndim or name in taken:
-            raise TrainingError(
-                f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
-                "of such under names that no metric has"
-            )
-    if not (steps or terms)["loss"].requires_grad:
-        raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
+    given = ", that returns a scalar tensor, or "
+    whose, form = (
+        f"loss {objective}",
+        "a function (output, batch), or a class (config, grid) of one",
+    )
+    several = "a dict of such"
+    if targets and not is_own(objective):
+        whose, form = f"loss of target {', '.join(targets)}", "a method (output, batch, objective)"
+        several = "it and a dict of terms"
+    with own_code(f"{whose}: expected {form}{given}{several}"):
+        terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
+    tried = {whose: terms}
+    if hasattr(network, "training_step"):
+        whose = f"training_step of variant {variant}"
+        with own_code(f"{whose}: expected a method (batch){given}a dict of such"):
+            tried[whose] = summed(network.training_step(batch))
+    for who, losses in tried.items():
+        for name, value in losses.items():
+            if not isinstance(value, Tensor) or value.ndim or name in taken:
+                raise TrainingError(
+                    f"{who}: {name} is {value!r:.60}; expected a scalar tensor, or a dict of such "
+                    "under names that no metric has"
+                )
+    if not (loss := tried[whose]["loss"]).requires_grad:
+        raise TrainingError(f"{whose}: gives {loss:.3g}; no weight of variant {variant} changes it")
     arrays, truth = (
         {name: values[0].numpy(force=True) for name, values in held.items()}
         for held in (predicted, batch)

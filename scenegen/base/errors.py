@@ -122,6 +122,25 @@ def as_own_code_error(error: Exception) -> Exception:
 
 
 @contextmanager
+def own_code(expected: str) -> Iterator[None]:
+    """Raise errors of the block, which calls a user's own code, as an `OwnCodeError`. A
+    `ScenegenError`, and one that says that memory ran out, pass unchanged.
+
+    Args:
+        expected: What is called, and what it should take and give: for an error that arises outside
+            of that code, such as of a function with other arguments.
+    """
+    try:
+        yield
+    except Exception as error:
+        fault = as_own_code_error(error)
+        # unchanged: it is one of ours, or arose in other code from what the user's gave
+        if fault is error and not (isinstance(error, ScenegenError) or is_out_of_memory(error)):
+            fault = OwnCodeError(f"{expected} ({type(error).__name__}: {printable(error)})")
+        raise fault from None
+
+
+@contextmanager
 def reraise_as(
     make_error: Callable[[str], Exception],
     begin: str = "",

@@ -123,6 +123,9 @@ class Scaled:
     def __call__(self, output, batch): return self.scale * output.logits.square().mean()
 def short(seen, grid, lidar): return seen.observed[:-1]
 def failing(seen, grid, lidar): raise KeyError("gone")
+class Void(Net):
+    def training_step(self, batch): pass
+class Letters(Net): tasks = "occupancy"
 """
 
 

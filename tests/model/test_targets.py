@@ -173,6 +173,12 @@ class Normal(Mean):
     def truth(self, sample, grid): return sample.return_normal[..., 0]
 class Failing(Mean): metrics = {"one": lambda scored: scored.truth["absent"]}
 class Wordy(Mean): metrics = {"one": lambda scored: "high"}
+class Lossless(Classes): loss = lambda *given: None
+class Channelless(Mean): channels = 0
+class Nameless(Mean): channels = lambda *given: None
+class Void(Mean): prediction = lambda *given: None
+class Cut(Mean): turned = lambda self, truth, symmetry: truth[:3]
+class Listed(Mean): metrics = [1]
 """
 
 
