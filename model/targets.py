@@ -416,8 +416,9 @@ def channels_of(name: str, parts: Sequence[Mapping[str, Any]]) -> int:
             "datasets that "
             "share them"
         )
-    listed = isinstance(first, Sequence) and not isinstance(first, str)
-    return check_int(label, len(first) if listed else first, 1, MAX_CLASSES)
+    if isinstance(first, Sequence) and not isinstance(first, str):
+        first = len(first)
+    return check_int(label, first, 1, MAX_CLASSES)
 
 
 BUILT_IN: dict[str, Target] = {"occupancy": Occupancy(), "tudf": Tudf()}
