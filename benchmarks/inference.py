@@ -30,8 +30,6 @@ INPUTS = {"columns": ("observed", "free")}
 BURST = 4
 """Maps that a way completes in a row."""
 GRID = GridSpec()
-ALONE_S = 5.0
-"""So long a process of its own completes maps, seconds."""
 Way = Callable[[dict[str, Tensor]], Any]
 """A network by some runtime: what it gives for maps by name."""
 
@@ -76,8 +74,10 @@ def main() -> None:
         )
         print(f"{variant:<9}:  {cells}", flush=True)
         for runtime in given.runtime:
-            alone, beside = (together(file, runtime, inputs, count) for count in (1, 2))
-            print(f"  {runtime} by one thread {alone:.1f} ms, two processes {beside:.1f} ms")
+            one_ms, two_ms = (
+                side_by_side(processes, file, runtime, inputs, given.rounds) for processes in (1, 2)
+            )
+            print(f"  {runtime} by one thread {one_ms:.1f} ms, two processes {two_ms:.1f} ms")
 
 
 def runners(network: Network, file: Path, options: Any) -> dict[str, Way]:
@@ -105,20 +105,21 @@ def random_maps(inputs: tuple[str, ...]) -> dict[str, Tensor]:
     return {name: (torch.rand(1, *GRID.shape, generator=noise) < 0.02).float() for name in inputs}
 
 
-def together(file: Path, runtime: str, inputs: tuple[str, ...], processes: int) -> float:
-    """Milliseconds a map in processes that complete maps side by side, on one thread each."""
+def side_by_side(processes: int, *words: Any) -> float:
+    """Milliseconds a map in the slowest of so many processes that complete maps at the same time.
+    `words` are those of `on_one_thread`."""
     with get_context("spawn").Pool(processes) as pool:
-        # processes that start late are not alone: the last half of each is counted
-        return max(pool.starmap(alone, [(file, runtime, inputs)] * processes))
+        return max(pool.starmap(on_one_thread, [words] * processes))
 
 
-def alone(file: Path, runtime: str, inputs: tuple[str, ...]) -> float:
-    """Milliseconds a map in this process."""
+def on_one_thread(file: Path, runtime: str, inputs: tuple[str, ...], rounds: int) -> float:
+    """Milliseconds a map in this process, which completes maps for half a second a round."""
     run, maps, took = load_onnx(file, runtime=runtime, threads=1)[0], random_maps(inputs), []
-    end = time.perf_counter() + ALONE_S
+    end = time.perf_counter() + rounds / 2
     while (begin := time.perf_counter()) < end:
         run(maps)
         took.append(time.perf_counter() - begin)
+    # the last half: processes that began first were alone for a while
     return 1e3 * float(np.median(took[len(took) // 2 :]))
 
 

@@ -4,7 +4,7 @@ import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -476,32 +476,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             raise TrainingError(
                 f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
-    taken = {*metrics_of(network.targets), *FIGURES}
-    given = ", that returns a scalar tensor, or "
-    whose, form = (
-        f"loss {objective}",
-        "a function (output, batch), or a class (config, grid) of one",
-    )
-    several = "a dict of such"
-    if targets and not is_own(objective):
-        whose, form = f"loss of target {', '.join(targets)}", "a method (output, batch, objective)"
-        several = "it and a dict of terms"
-    with own_code(f"{whose}: expected {form}{given}{several}"):
-        terms = loss_of(config.loss, maps.grid, targets=network.targets)(output, batch)
-    tried = {whose: terms}
-    if hasattr(network, "training_step"):
-        whose = f"training_step of variant {variant}"
-        with own_code(f"{whose}: expected a method (batch){given}a dict of such"):
-            tried[whose] = summed(network.training_step(batch))
-    for who, losses in tried.items():
-        for name, value in losses.items():
-            if not isinstance(value, Tensor) or value.ndim or name in taken:
-                raise TrainingError(
-                    f"{who}: {name} is {value!r:.60}; expected a scalar tensor, or a dict of such "
-                    "under names that no metric has"
-                )
-    if not (loss := tried[whose]["loss"]).requires_grad:
-        raise TrainingError(f"{whose}: gives {loss:.3g}; no weight of variant {variant} changes it")
+    terms = _rehearsed_losses(network, config, maps.grid, output, batch)
     arrays, truth = (
         {name: values[0].numpy(force=True) for name, values in held.items()}
         for held in (predicted, batch)
@@ -512,6 +487,44 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         raise TrainingError(
             f"choose = {config.choose!r}: the loss has no such term, but {', '.join(terms)}"
         )
+
+
+def _rehearsed_losses(
+    network: Any, config: TrainConfig, grid: GridSpec, output: Output, batch: Batch
+) -> Mapping[str, Tensor]:
+    """Compute the loss of a map, and try `training_step` if the network has one; return the terms
+    of the loss. Raises TrainingError or OwnCodeError as `rehearse` does."""
+    targets, objective = config.network.targets, config.loss.objective
+    if targets and not is_own(objective):
+        source = f"loss of target {', '.join(targets)}"
+        expected = "a method (output, batch, objective) -> scalar tensor, or it and a dict of terms"
+    else:
+        source = f"loss {objective}"
+        expected = (
+            "a function (output, batch), or a class (config, grid) of one -> scalar tensor, or a "
+            "dict of such"
+        )
+    with own_code(f"{source}: expected {expected}"):
+        terms = loss_of(config.loss, grid, targets=network.targets)(output, batch)
+    losses_by_source = {source: terms}
+    if hasattr(network, "training_step"):
+        # then it is minimised instead; the loss still validates
+        source = f"training_step of variant {config.network.variant}"
+        with own_code(f"{source}: expected a method (batch) -> scalar tensor, or a dict of such"):
+            losses_by_source[source] = summed(network.training_step(batch))
+    taken = {*metrics_of(network.targets), *FIGURES}
+    for title, losses in losses_by_source.items():
+        for name, value in losses.items():
+            if not isinstance(value, Tensor) or value.ndim or name in taken:
+                raise TrainingError(
+                    f"{title}: {name} is {value!r:.60}; expected a scalar tensor, or a dict of "
+                    "such under names that no metric has"
+                )
+    if not (loss := losses_by_source[source]["loss"]).requires_grad:
+        raise TrainingError(
+            f"{source}: gives {loss:.3g}; no weight of variant {config.network.variant} changes it"
+        )
+    return terms
 
 
 def begin_from(weights: str | Path, network: Any) -> str:

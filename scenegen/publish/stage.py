@@ -279,10 +279,13 @@ def check_out(dataset: Path, out: Path) -> None:
             f"--out {out}: holds {min(foreign)}, which publish did not put there; choose another "
             "folder"
         )
-    if (held := out / NAME).exists() and held.read_bytes() != (dataset / NAME).read_bytes():
-        raise PublishError(
-            f"--out {out}: holds another dataset; remove it, or choose another folder"
+    if (out / NAME).exists():
+        # one that has grown, or was made with other noise, replaces what was published before
+        held, asked = (
+            f"{about.kind}, seed {about.seed}" for about in map(manifest.load, (out, dataset))
         )
+        if held != asked:
+            raise PublishError(f"--out {out}: holds {held}; remove it, or choose another folder")
 
 
 def read_sums(folder: Path) -> dict[str, str]:

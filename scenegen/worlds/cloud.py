@@ -120,9 +120,9 @@ def map_clouds(
         corners = _upright(np.array(box, float).reshape(2, 3), survey)
         low, high = corners.min(axis=0), corners.max(axis=0)
     where = f"{files[0]}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
-    nothing = f"{where}: no point in it is finite; expected x, y and z in metres"
+    infinite = f"{where}: no point in it is finite; expected x, y and z in metres"
     if not np.isfinite([low, high]).all():
-        raise SceneError(nothing)
+        raise SceneError(infinite)
     offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
     # apart from the states: rays of later files must not clear points of earlier ones
@@ -140,10 +140,10 @@ def map_clouds(
             states.reshape(-1),
             occupied,
         )
-    if not points and box is not None:
-        nothing = f"{where}: no point in it lies in the box; give a --box that holds some"
     if not points:
-        raise SceneError(nothing)
+        outside = f"{where}: no point in it lies in the box; give a --box that holds some"
+        # without a box, the sensor alone has given the map its extent
+        raise SceneError(infinite if box is None else outside)
     if survey.assume_free:
         # above the lowest point of each column; occupied voxels are set after
         states[np.logical_or.accumulate(occupied, axis=2)] = FREE

@@ -180,7 +180,7 @@ def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
         refuses(out.name, stage, replace(asked, out=out), CHECKS)
     assert Dataset(dataset).manifest.complete
     (asked.out / "notes.md").unlink()
-    edit_at(dataset, "digest", json.dumps("0" * 64))
+    edit_at(asked.out, "seed", "7")
     refuses("another", stage, asked, CHECKS)
 
 
