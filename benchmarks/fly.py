@@ -65,6 +65,8 @@ LATENCY_S = {
     "anywhere, brakes": 3 * STEP_S,
     "anywhere, brakes at 0.5": 3 * STEP_S,
     "sampling:anywhere, brakes": 3 * STEP_S,
+    "seed-11, brakes": 3 * STEP_S,
+    "seed-12, brakes": 3 * STEP_S,
 }
 """What a decision takes, mean, rounded up to steps of the motion, seconds: measured by
 benchmarks/decisions.py on one core of an AMD EPYC (2 cores, AVX-512), networks in torch."""
@@ -89,6 +91,9 @@ VLP_16 = "range:0.03,quantise:0.002"
 PAIR = ("optimistic, brakes", "anywhere, brakes")
 SIX = ("truth", *PAIR, "extrude, brakes", "columns, brakes", "anywhere")
 FIVE = tuple(name for name in SIX if name != "columns, brakes")
+SEEDS = ("seed-11, brakes", "seed-12, brakes")
+"""Networks with the layers of `anywhere`, of other training seeds: benchmarks/fly.md has how to
+train them; --exported is their folder."""
 ALL = (*SIX, "optimistic", "anywhere, brakes at 0.5", "returns", "reactive")
 AT_SPEEDS = {"1 m/s": 1.0, "2 m/s": 2.0, "6 m/s": 6.0, "8 m/s": 8.0}
 """Runs at other speeds than the suite's, m/s."""
@@ -110,6 +115,7 @@ RUNS: dict[str, Run] = {
         for title, speed in AT_SPEEDS.items()
     },
     **VARIED,
+    "seeds": Run(SEEDS, some=True),
 }
 
 
@@ -189,7 +195,7 @@ def main() -> None:
             for name in given.robots or RUNS[title].robots:
                 keep(flown(title, name, Path(str(entries)), given), file)
         runs = by_run(file)
-    publish(given, [*claims(runs), *curves(runs), *variations(runs), *tracks(runs)])
+    publish(given, [*claims(runs), *curves(runs), *variations(runs), *seeds(runs), *tracks(runs)])
 
 
 def parts(name: str) -> tuple[str, str | None, str, float | None]:
@@ -416,6 +422,22 @@ def variations(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
         ]
         lines += titled(f"## {figure.capitalize()}, by variation", heads, rows) if rows[1:] else []
     return lines
+
+
+def seeds(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
+    """How networks of other training seeds differ, in the same worlds."""
+    if "seeds" not in runs:
+        return []
+    flights = {**runs["seeds"], **{name: some(runs["drawn"][name]) for name in PAIR}}
+    pairs = [*product(SEEDS, PAIR), SEEDS[::-1]]
+    rows = [
+        (
+            f"`{one}` less `{other}`",
+            [shown(gain(flights[one], flights[other], figure)) for figure in GAINS],
+        )
+        for one, other in pairs
+    ]
+    return titled("## Training seeds", GAINS, rows)
 
 
 def tracks(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:

@@ -17,6 +17,7 @@ from scenegen.worlds.traffic import PERIOD_S
 
 TICK_S = 2.0**-10
 """Resolution of the times at which pieces begin, seconds."""
+PERIOD_TICKS = round(PERIOD_S / TICK_S)
 LEAST_TURN = 8
 """Ticks of a turn, at least: coefficients of shorter ones may exceed what tables hold. Even."""
 
@@ -43,6 +44,22 @@ class Course:
         """The course as `lidarsim.movers.place` takes it, mover 0 of 1. It does not repeat."""
         return math.inf, np.array([0, len(self.begin_s)]), self.begin_s, self.pieces
 
+    def begun_at(self, ticks: int) -> "Course":
+        """Return the course that begins later in the period; what it leaves out comes at the end.
+
+        Args:
+            ticks: When it begins, in ticks of the period, which has `PERIOD_TICKS`.
+        """
+        time_s = ticks * TICK_S
+        # the piece that is under way is divided: its end comes first, its beginning last
+        first = int(np.searchsorted(self.begin_s, time_s, side="right")) - 1
+        begin_s = np.append(self.begin_s[first:], self.begin_s[: first + 1] + PERIOD_S) - time_s
+        pieces = np.concatenate([self.pieces[first:], self.pieces[: first + 1]])
+        pieces[0], begin_s[0] = _after(pieces[0], -begin_s[0]), 0.0
+        # nothing is left of a piece that begins at this time
+        lasting = begin_s < PERIOD_S
+        return Course(begin_s[lasting], pieces[lasting], self.round_s)
+
     @cached_property
     def fastest_mps(self) -> float:
         """Greatest speed, metres a second."""
@@ -51,6 +68,21 @@ class Course:
         # at the begin or end of a piece; between, none is faster
         speeds = np.stack([linear, linear + 2.0 * lengths * square])
         return math.sqrt((speeds * speeds).sum(axis=-1).max())
+
+
+def _after(piece: Floats, seconds: float) -> Floats:
+    """Return a piece's polynomials (CHANNELS, COEFFICIENTS) of the time since some seconds after
+    its beginning."""
+    start, linear, square, cube = piece.T
+    steeper = square + 3.0 * seconds * cube
+    return np.column_stack(
+        [
+            start + seconds * (linear + seconds * (square + seconds * cube)),
+            linear + seconds * (square + steeper),
+            steeper,
+            cube,
+        ]
+    )
 
 
 class _Writer:
@@ -252,16 +284,11 @@ def without_stop(points: Floats, speed: float, acceleration: float, rate: float)
 
 def _repeated(writer: _Writer, place: Vector, heading: Pair) -> Course | None:
     """Repeat a tour while it fits into the period, and stand for the rest of it."""
-    period = round(PERIOD_S / TICK_S)
-    if writer.ticks > period:
+    if writer.ticks > PERIOD_TICKS:
         return None
     # tables hold no rounds: pieces are written again for each
-    rounds, tour = period // writer.ticks, writer.course()
-    begin = np.concatenate([tour.begin_s + n * writer.ticks * TICK_S for n in range(rounds)])
-    pieces = np.tile(tour.pieces, (rounds, 1, 1))
-    if rest := period - rounds * writer.ticks:
-        still = _Writer()
-        still.add(rest, place, heading)
-        begin = np.append(begin, rounds * writer.ticks * TICK_S)
-        pieces = np.concatenate([pieces, still.course().pieces])
-    return Course(begin, pieces, writer.ticks * TICK_S)
+    rounds, tour, still = PERIOD_TICKS // writer.ticks, writer.course(), _Writer()
+    still.add(PERIOD_TICKS - rounds * writer.ticks, place, heading)
+    parts, round_s = [*[tour] * rounds, still.course()], writer.ticks * TICK_S
+    begin_s = np.concatenate([part.begin_s + n * round_s for n, part in enumerate(parts)])
+    return Course(begin_s, np.concatenate([part.pieces for part in parts]), round_s)

@@ -18,7 +18,7 @@ from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
 from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
 from scenegen.worlds.clearance import Clearance, heading_lengths
-from scenegen.worlds.courses import Course, from_stop_to_stop, without_stop
+from scenegen.worlds.courses import PERIOD_TICKS, Course, from_stop_to_stop, without_stop
 from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Traffic
 
 GAP_M = 0.05
@@ -230,7 +230,11 @@ def _draw_mover(
         alone = clearance.course_is_free(
             course.begin_s[once], course.pieces[once], course.round_s, body.balls, GAP_M
         )
-        if alone and all(_stay_apart((body, course), other) for other in accepted):
+        if not alone:
+            continue
+        # tours begin at rest: without this, all movers of a world would stand at the same time
+        course = course.begun_at(int(rng.integers(PERIOD_TICKS)))
+        if all(_stay_apart((body, course), other) for other in accepted):
             return body, course
     return None
 

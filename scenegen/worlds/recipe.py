@@ -40,6 +40,7 @@ from scenegen.worlds.tables import (
     sensor_of,
 )
 from scenegen.worlds.traffic import KINDS, Traffic
+from scenegen.worlds.traffic import VERSION as MOVERS_VERSION
 from scenegen.worlds.world import AnyWorld
 
 
@@ -221,8 +222,10 @@ class Recipe:
 
     @property
     def version(self) -> int:
-        """The version of the kind's preset, or of flights in maps; 0 for worlds from MJCF files."""
-        return int(self.known is not None) if self.world is None else self.world.version
+        """The version of the kind's preset, or of flights in maps, or 0 for worlds from MJCF files;
+        plus that of movers, where there are some."""
+        drawn = int(self.known is not None) if self.world is None else self.world.version
+        return drawn + (MOVERS_VERSION if self.traffic else 0)
 
     def resolved(self) -> Json:
         """Return the manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON

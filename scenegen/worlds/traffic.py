@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from lidarsim.parameters import Checked, number
 
+VERSION = 1
+"""Raised whenever the same settings and seed give other movers, with the reason in the log."""
 # new kinds go to the end: datasets hold the numbers of those that are there
 KINDS = ("person", "vehicle", "drone")
 """Kinds of movers; samples store the number of a kind, from 1 on."""

@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import AnalyticEngine
+from lidarsim.movers import place as place_at
 from lidarsim.parameters import MAX_LENGTH_M
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.courses import TICK_S, from_stop_to_stop, without_stop
@@ -130,6 +131,20 @@ def test_a_loop_runs_at_one_speed_but_for_corners():
     lasting = np.diff(course.begin_s, append=PERIOD_S)[:, None]
     ends = start + lasting * (linear + lasting * square)
     assert_allclose(ends, np.roll(start, -1, axis=0), atol=1e-9)
+
+
+def test_a_course_that_begins_later_goes_the_same_way():
+    course = from_stop_to_stop(SQUARE, 2.0, 1.5, 3.0, [0.0] * 4)
+    later = course.begun_at(9001).table  # within a piece
+    for time_s in np.arange(0, 22, 0.37):
+        expected = place_at(0, time_s + 9001 * TICK_S, course.table)[2:]
+        assert_allclose(place_at(0, time_s, later)[2:], expected, atol=1e-9)
+
+
+def test_movers_do_not_stand_together(motion):
+    """Tours begin at rest, and movers somewhere on them."""
+    speed = np.linalg.norm(motion[2], axis=2).mean(axis=1)
+    assert speed[: int(2 / STEP_S)].mean() > speed.mean() / 2
 
 
 @pytest.mark.parametrize("bend_m", [1e-6, 1e-3, 0.02])
