@@ -17,10 +17,10 @@ from tyro.conf import Positional
 import scenegen
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
 from scenegen.model.network import build, placed
-from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.device import Group, choose_device
 from scenegen.model.training.loop import Step, optimizer_of
+from scenegen.model.training.schedule import Schedule
 
 
 class Options(measuring.Options):
@@ -46,7 +46,7 @@ def main() -> None:
             waits(learner(given, maps, "proposed", torch.float32), maps, workers, given.steps)
         return
     maps = Maps(opened(given.datasets, "train"), "train")
-    batches = list(Course(maps, TrainConfig(batch=given.batch)).batches(0, given.steps))
+    batches = list(Schedule(maps, TrainConfig(batch=given.batch)).batches(0, given.steps))
     read = measuring.timed(lambda: sum(1 for _ in load(maps, batches, workers=0, pinned=False)))
     count = 1e3 * sum(map(len, batches))
     print(
@@ -86,7 +86,9 @@ def waits(learn: Step, maps: Maps, workers: int, steps: int) -> None:
     over all steps but the first, in which processes begin."""
     config = TrainConfig(maps=10**6, batch=learn.config.batch)
     found, at = [], time.perf_counter()
-    for batch in load(maps, Course(maps, config).batches(0, steps), workers=workers, pinned=False):
+    for batch in load(
+        maps, Schedule(maps, config).batches(0, steps), workers=workers, pinned=False
+    ):
         ready = time.perf_counter()
         learn(batch, 1e-3)
         found.append((ready - at, time.perf_counter() - ready))

@@ -108,7 +108,7 @@ METHODS = Registry(
     "method",
     {
         "empty": "scenegen.model.completion.protocol:Empty",
-        "returns": "scenegen.model.completion.protocol:Returns",
+        "returns": "scenegen.model.completion.protocol:ReturnsCompleter",
         "conservative": "scenegen.model.completion.protocol:Conservative",
         "extrude": "scenegen.model.completion.protocol:Extrude",
         "truth": "scenegen.model.bench.methods:Truth",

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, latency_of, named, part_of
+from scenegen.fly.suite import SuiteCoverage, latency_of, named, part_of
 from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.tables import Table, framed, page
 
@@ -85,7 +85,7 @@ def leaderboard(folder: Path, out: Path) -> str:
         DatasetError: A file is no entry, or has courses that are not its suite's.
     """
     # only entries that flew the same worlds can be compared, so each choice of courses has a table
-    tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
+    tables: dict[tuple[str, ...], tuple[SuiteCoverage, list[Row]]] = {}
     films = ""
     for path in sorted(folder.glob("*.json")):
         entry = read_recording(path)

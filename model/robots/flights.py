@@ -15,14 +15,7 @@ from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
 from scenegen.base.files import Json, check_ours, write_atomic, write_result
 from scenegen.fly import TRACKS
-from scenegen.fly.course import (
-    Course,
-    Flights,
-    FlownCourse,
-    Recording,
-    read_recording,
-    replay,
-)
+from scenegen.fly.course import Course, Flights, FlownCourse, Recording, read_recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -37,15 +30,8 @@ from scenegen.fly.suite import (
     part_of,
     track_name,
 )
-from scenegen.model.completion.protocol import Conservative, Extrude, Returns
-from scenegen.model.robots import (
-    COMPLETES_EVERY,
-    FORESEEING,
-    FORGETFUL,
-    NAMES,
-    REACTIVE,
-    SAMPLING,
-)
+from scenegen.model.completion.protocol import Conservative, Extrude, ReturnsCompleter
+from scenegen.model.robots import COMPLETES_EVERY, FORESEEING, FORGETFUL, NAMES, REACTIVE, SAMPLING
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.sampling import SamplingRobot
@@ -86,11 +72,11 @@ def robot_maker(
         )
     known = {
         # occupied where the last scan, or any scan, returned; unknown voxels are free
-        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False, brakes=brakes),
-        "optimistic": lambda course: MappingRobot(Returns(), brakes=brakes),
+        FORGETFUL: lambda course: MappingRobot(ReturnsCompleter(), memory=False, brakes=brakes),
+        "optimistic": lambda course: MappingRobot(ReturnsCompleter(), brakes=brakes),
         # unknown voxels are occupied
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True, brakes=brakes),
-        SAMPLING: lambda course: SamplingRobot(Returns(), brakes=brakes),
+        SAMPLING: lambda course: SamplingRobot(ReturnsCompleter(), brakes=brakes),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True, brakes=brakes),
         # movers are expected to stay, or to go on
         "forgetting": lambda course: TrackingRobot(predicts=False, brakes=brakes),

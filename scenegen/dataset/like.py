@@ -19,7 +19,7 @@ from scenegen import GENERATOR, __version__
 from scenegen.base.errors import CorruptFileError, DatasetError, GenerationError, reraise_as
 from scenegen.base.files import Json, real_path
 from scenegen.base.paths import check_type, type_of
-from scenegen.base.stores import Place
+from scenegen.base.stores import Location
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
 from scenegen.dataset.locate import locate
@@ -28,12 +28,12 @@ from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
-from scenegen.dataset.state import Plan
+from scenegen.dataset.state import DatasetPlan
 from scenegen.draw.draw import (
     FLIGHT,
     Unit,
     UnitKey,
-    View,
+    ViewpointData,
     none_rejected,
     samples_of,
     scans_from,
@@ -123,7 +123,7 @@ def scan_again(
     for before, times_s in zip(poses, times, strict=True):
         scans = scans_from(before, times_s, world, engine, recipe)
         truth = truth_of(world, scans[0], recipe, float(times_s[0]))
-        views.append(View(scans, times_s, truth))
+        views.append(ViewpointData(scans, times_s, truth))
     samples = samples_of(views, recipe, world, engine, key, names, derived)
     return Unit(names[0], world, samples, none_rejected())
 
@@ -211,7 +211,7 @@ class ScanAgain(ShardSpec):
 
 def plan_like(
     name: str | Path,
-    folder: Place,
+    folder: Location,
     *,
     kind: str | None = None,
     lidar: Sensor | None = None,
@@ -219,7 +219,7 @@ def plan_like(
     mapping: Mapping[str, Any] | None = None,
     engine: str | None = None,
     **options: Any,
-) -> Plan:
+) -> DatasetPlan:
     """Plan a dataset like another one. Settings that are not given are copied.
 
     Without changes, drawn worlds are drawn again by recipe and seed: the samples are the same, bit

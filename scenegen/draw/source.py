@@ -40,7 +40,15 @@ from scenegen.base.paths import CLOUDS, MAPS, MESHES
 from scenegen.base.reading import world_digest
 from scenegen.base.workers import Limited, run
 from scenegen.worlds.classes import By
-from scenegen.worlds.flight import POINTS, Flight, apart, around, fly, heights, viewpoints
+from scenegen.worlds.flight import (
+    POINTS,
+    FlightConfig,
+    apart,
+    around,
+    fly,
+    heights,
+    viewpoints,
+)
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
@@ -319,7 +327,7 @@ SEEN_SHARE = 0.1
 """The value of `most_marked_share` that a message names admits this share of free points."""
 
 
-def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> Flight:
+def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> FlightConfig:
     """Find altitudes, radius, length and viewpoints of flights in a map, from points that are free
     and known.
 

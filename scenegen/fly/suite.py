@@ -115,7 +115,7 @@ def chosen_courses(track: str, maps: Path | None = None, *, quick: bool) -> list
 
 
 @dataclass(frozen=True)
-class Part:
+class SuiteCoverage:
     """How many courses of a suite an entry has."""
 
     track: str
@@ -133,7 +133,7 @@ class Part:
         return text if self.there == self.of else f"{text}, incomplete"
 
 
-def part_of(entry: Recording) -> Part:
+def part_of(entry: Recording) -> SuiteCoverage:
     """Count the courses of an entry, and check that each belongs to the entry's suite.
 
     Vehicle, rules (but for one latency) and sensor must be those of the suite, and the world's hash
@@ -167,7 +167,9 @@ def part_of(entry: Recording) -> Part:
             )
     some = list(courses)[::QUICK]
     quick = {named(course) for course, _ in entry.courses} <= {*some}
-    return Part(entry.track, quick, len(entry.courses), len(some) if quick else len(courses))
+    return SuiteCoverage(
+        entry.track, quick, len(entry.courses), len(some) if quick else len(courses)
+    )
 
 
 def is_whole(entry: Recording) -> bool:

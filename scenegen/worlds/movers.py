@@ -18,7 +18,7 @@ from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
 from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
 from scenegen.worlds.clearance import Clearance, heading_lengths
-from scenegen.worlds.courses import PERIOD_TICKS, Course, from_stop_to_stop, without_stop
+from scenegen.worlds.courses import PERIOD_TICKS, MoverCourse, from_stop_to_stop, without_stop
 from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Traffic
 
 GAP_M = 0.05
@@ -188,7 +188,7 @@ def draw_movers(
         [np.min(boxes, axis=0)[0] - MOST_LEG_M, np.max(boxes, axis=0)[1] + MOST_LEG_M]
     )
     clearance = Clearance(solids, around)
-    accepted: list[tuple[Body, Course]] = []
+    accepted: list[tuple[Body, MoverCourse]] = []
     # the largest first: they find room last
     for kind in sorted(KINDS, key=lambda name: name != "vehicle"):
         low, high = traffic.counts(kind) if zones.get(kind) else (0, 0)
@@ -213,11 +213,11 @@ def _draw_mover(
     caster: Caster,
     zones: Sequence[Floats],
     traffic: Traffic,
-    accepted: Sequence[tuple[Body, Course]],
+    accepted: Sequence[tuple[Body, MoverCourse]],
     tries: int,
     *,
     rng: Generator,
-) -> tuple[Body, Course] | None:
+) -> tuple[Body, MoverCourse] | None:
     """Draw a body, and courses until one is accepted; None after `tries`."""
     body = BODIES[kind](rng)
     for _ in range(tries):
@@ -249,7 +249,7 @@ class _Tour:
     zone: Floats
     rng: Generator
 
-    def course(self, traffic: Traffic) -> Course | None:
+    def course(self, traffic: Traffic) -> MoverCourse | None:
         """Draw a course; None if no leg is free."""
         kind = self.body.kind
         speed = float(self.rng.uniform(*getattr(traffic, f"{kind}_mps")))
@@ -389,7 +389,7 @@ TURNS = {
 """Cosine and sine of the angle between corners of regular polygons."""
 
 
-def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool:
+def _stay_apart(first: tuple[Body, MoverCourse], second: tuple[Body, MoverCourse]) -> bool:
     """Whether balls around two movers stay `GAP_M` apart for a period."""
     heights = first[0].ball[0], second[0].ball[0]
     near = GAP_M + first[0].ball[1] + second[0].ball[1]
@@ -414,7 +414,7 @@ def _are_apart(first, second, end, heights, near, speed):
     return True
 
 
-def _joined(movers: Sequence[tuple[Body, Course]]) -> Movers:
+def _joined(movers: Sequence[tuple[Body, MoverCourse]]) -> Movers:
     """Join bodies and courses."""
     bodies, courses = [body for body, _ in movers], [course for _, course in movers]
     owner = [m for m, body in enumerate(bodies) for _ in body.shape]
@@ -521,12 +521,12 @@ def read_text(text: str) -> Movers:
     return movers
 
 
-def _read_entry(entry: Any) -> tuple[Body, Course]:
+def _read_entry(entry: Any) -> tuple[Body, MoverCourse]:
     solids = np.array(entry["solids"], float).reshape(-1, 7)
     begin_s = np.array(entry["begin_s"], float).reshape(-1)
     pieces = np.array(entry["course"], float).reshape(len(begin_s), CHANNELS, COEFFICIENTS)
     shapes = tuple(int(shape) for shape in solids[:, 0])
-    return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), Course(begin_s, pieces)
+    return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), MoverCourse(begin_s, pieces)
 
 
 def fault_of(movers: Movers) -> str:

@@ -11,7 +11,7 @@ import torch
 
 from lidarsim import Lidar
 from scenegen import Dataset, generate
-from scenegen.dataset.selection import Choice, choose, encode_selection
+from scenegen.dataset.selection import SelectionCriteria, choose, encode_selection
 from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
@@ -63,8 +63,8 @@ def test_damage_is_named(folders, tmp_path, workers):
 
 
 def test_datasets_that_do_not_fit_are_refused(folders, tmp_path):
-    few, choice, dataset = tmp_path / "few.json", Choice(most=2), Dataset(folders[0])
-    few.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
+    few, criteria, dataset = tmp_path / "few.json", SelectionCriteria(most=2), Dataset(folders[0])
+    few.write_bytes(encode_selection(dataset, choose(dataset, criteria), criteria, tmp_path))
     cases = {
         "none": [],
         "grid": [folders[0], make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})],

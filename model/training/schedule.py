@@ -1,4 +1,4 @@
-"""The course of a run: its steps, learning rates and rounds, and validation."""
+"""The schedule of a run: its steps, learning rates and rounds, and validation."""
 
 import itertools
 import math
@@ -134,7 +134,7 @@ STREAM_INTERVAL = 5000
 """Maps of a stream between two validations, unless `TrainConfig.interval` is set."""
 
 
-class Course:
+class Schedule:
     """All steps of a run, numbered from 0: their learning rates and batches.
 
     A *round* is the steps between two validations: a pass over the maps, or `STREAM_INTERVAL` maps
