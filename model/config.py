@@ -135,7 +135,7 @@ def target_name(name: str) -> str:
     return name.rpartition(":")[2].lower()
 
 
-def named(registry: Registry, name: str) -> Any:
+def import_named(registry: Registry, name: str) -> Any:
     """Import an object of a registry.
 
     Args:

@@ -33,7 +33,7 @@ from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 from scenegen.model.config import FIGURES, VARIANTS, TrainConfig, is_own
 from scenegen.model.losses import loss_of, summed
-from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.network import Batch, Output, build_network, placed
 from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import (
@@ -41,7 +41,7 @@ from scenegen.model.training.data import (
     Maps,
     Samples,
     check_alike,
-    load,
+    load_batches,
     loaders_watched,
 )
 from scenegen.model.training.device import (
@@ -135,12 +135,12 @@ def train(
         check_maps(maps, checks, config, group.size)
         schedule = Schedule(maps, config)
         torch.manual_seed(config.seed)
-        network = placed(build(config.network), torch_device)
+        network = placed(build_network(config.network), torch_device)
         settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
         rehearse(network, config, checks, torch_device)
-        metadata = {"settings": settings, **origin(maps, command, torch_device)}
+        metadata = {"settings": settings, **describe_origin(maps, command, torch_device)}
         group.first_alone(lambda: folder.open(metadata))
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
@@ -155,7 +155,7 @@ def train(
                 schedule.batches(steps.start + finished, len(steps) - finished)
             )
             mine = (batch[group.rank :: group.size] for batch in ahead)
-            read = load(maps, mine, workers=workers, pinned=torch_device.type == "cuda")
+            read = load_batches(maps, mine, workers=workers, pinned=torch_device.type == "cuda")
             with closing(read):
                 for step, batch, tensors in zip(steps[finished:], batches, read, strict=False):
                     # a user's own network may draw, as dropout does; a continued run draws the same
@@ -403,7 +403,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     }
 
 
-def origin(maps: Maps, command: str, device: torch.device) -> Json:
+def describe_origin(maps: Maps, command: str, device: torch.device) -> Json:
     """Describe the origin of a network, besides its settings.
 
     Args:

@@ -509,10 +509,10 @@ def _show(
         finally:
             getattr(robot, "close", lambda: None)()  # a robot of another process has one
     if log is not None:
-        from scenegen.fly.course import log_of
+        from scenegen.fly.course import flight_log
         from scenegen.logs.record import write_log
 
-        write_log(log, log_of(course, 0, ways[0]))
+        write_log(log, flight_log(course, 0, ways[0]))
     flights = [flight for _, several in flown for flight in several]
     row = {**summary(name, flights), **notes}
     # a function, since grading courses takes time, and only --json shows it

@@ -257,7 +257,7 @@ def make(
     from scenegen.dataset.build import build
 
     # refuses folders of something else before any of them is written
-    plans.open(force=force)
+    plans.claim_folder(force=force)
     summaries = []
     for plan in plans.datasets:
         with ProgressBar(plan.name, visible=verbose) as progress:

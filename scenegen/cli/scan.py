@@ -143,9 +143,9 @@ def sensors(
         if fit is not None:
             write_result(fit, unit.encode())
     if out is not None:
-        from scenegen.view.stills import draw_patterns, draw_unit, to_bytes
+        from scenegen.view.stills import draw_patterns, draw_sensor_unit, to_bytes
 
-        figure = draw_unit(unit) if unit else draw_patterns(chosen)
+        figure = draw_sensor_unit(unit) if unit else draw_patterns(chosen)
         write_result(out, to_bytes(figure, ".png"))
     if as_json:
         print(json.dumps(rows))

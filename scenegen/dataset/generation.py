@@ -49,7 +49,7 @@ class GenerationPlan:
         """Whether there are several datasets in subfolders of `folder`."""
         return self.datasets[0].folder != self.folder
 
-    def open(self, *, force: bool = False) -> None:
+    def claim_folder(self, *, force: bool = False) -> None:
         """List the datasets in the folder of a collection, unless it holds something else.
 
         Args:
@@ -115,7 +115,7 @@ def generate(
     """
     plans = plan_generation(kind, n, out=out, **options)
     # listed first, so that readers know a collection as incomplete if the run is stopped
-    plans.open(force=force)
+    plans.claim_folder(force=force)
     for plan in plans.datasets:
         build(plan, workers=workers, force=force)
     return open_data(str(plans.folder))

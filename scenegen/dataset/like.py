@@ -42,7 +42,7 @@ from scenegen.draw.draw import (
     truth_of,
 )
 from scenegen.draw.source import DrawnWorlds, Source
-from scenegen.worlds.flight import Sees, fly, viewpoints
+from scenegen.worlds.flight import Sees, plan_flight, viewpoints
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld
 
@@ -71,7 +71,7 @@ def fly_again(
         # the random numbers of `draw_unit`, which give the same flights
         rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
-            path = fly(world, recipe.flight, rng=rng, sees=sees)
+            path = plan_flight(world, recipe.flight, rng=rng, sees=sees)
             if path is None:
                 continue
             route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)

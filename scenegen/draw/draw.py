@@ -25,7 +25,7 @@ from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
 from scenegen.truth import distance_field
-from scenegen.worlds.flight import Route, fly, viewpoints
+from scenegen.worlds.flight import Route, plan_flight, viewpoints
 from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.tables import named_noise
@@ -247,7 +247,7 @@ def _fly(
     `rejected`, if no flight is accepted."""
     flight, reason = recipe.flight, "no_flight"
     for _ in range(flight.flights_per_world):
-        path = fly(world, flight, rng=rng, sees=recipe.sees(world))
+        path = plan_flight(world, flight, rng=rng, sees=recipe.sees(world))
         if path is None:
             continue
         route, candidates = viewpoints(path, flight.spacing_m, rng=rng)

@@ -45,8 +45,8 @@ from scenegen.worlds.flight import (
     FlightConfig,
     apart,
     around,
-    fly,
     heights,
+    plan_flight,
     viewpoints,
 )
 from scenegen.worlds.labels import class_names
@@ -413,7 +413,7 @@ def _most_scans(place: Place, recipe: Recipe) -> int:
     flight, known, rng = recipe.flight, recipe.known or Known(), np.random.default_rng(0)
     counts = [0] * ENOUGH
     for _ in range(FLIGHTS):
-        path = fly(place, flight, rng=rng, sees=recipe.sees(place))
+        path = plan_flight(place, flight, rng=rng, sees=recipe.sees(place))
         if path is not None:
             route, flown = viewpoints(path, flight.spacing_m, rng=rng)
             accepted = list[Floats]()

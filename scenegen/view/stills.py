@@ -591,7 +591,7 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     return figure
 
 
-def draw_unit(unit: "SensorUnit") -> Figure:
+def draw_sensor_unit(unit: "SensorUnit") -> Figure:
     """Draw the elevations of a unit less those of its model, its ranges, and the noise of
     planes."""
     figure = Figure(figsize=(9.6, 3.2), dpi=100, layout="constrained")

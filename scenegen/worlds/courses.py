@@ -41,7 +41,7 @@ class MoverCourse:
 
     @cached_property
     def table(self) -> tuple[float, Ints, Floats, Floats]:
-        """The course as `lidarsim.movers.place` takes it, mover 0 of 1. It does not repeat."""
+        """The course as `lidarsim.movers.find_piece` takes it, mover 0 of 1. It does not repeat."""
         return math.inf, np.array([0, len(self.begin_s)]), self.begin_s, self.pieces
 
     def begun_at(self, ticks: int) -> "MoverCourse":

@@ -103,7 +103,7 @@ Sees = Callable[[Floats], bool]
 """Tells whether enough of a map is known around a point (3,), world metres, to scan there."""
 
 
-def fly(
+def plan_flight(
     world: AnyWorld, flight: FlightConfig, *, rng: Generator, sees: Sees | None = None
 ) -> Floats | None:
     """Draw a collision-free path between a random start and goal by RRT (LaValle 1998) as OMPL has
@@ -429,7 +429,7 @@ def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
 def _flown(world: AnyWorld, flight: FlightConfig, seed: int) -> tuple[Route, Floats]:
     rng = np.random.default_rng(check_int("flight: seed =", seed, 0, MAX_SEED))
     for _ in range(TRIES):
-        path = fly(world, flight, rng=rng)
+        path = plan_flight(world, flight, rng=rng)
         if path is not None and (drawn := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
             return drawn
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from lidarsim.engines import Caster
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
+from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, find_piece
 from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
 from scenegen.worlds.clearance import Clearance, heading_lengths
@@ -81,7 +81,7 @@ class Body:
         return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
 
     @cached_property
-    def width(self) -> float:
+    def clearance_radius_m(self) -> float:
         """Radius of a ball that fits where the body does, when it moves ahead, metres."""
         # below `CAP_M`, which no distance exceeds; the certificate looks at all of a wider body
         return min(float((np.abs(self.balls[:, 1]) + self.balls[:, 3]).max()) + GAP_M, 0.99)
@@ -326,7 +326,7 @@ class _Tour:
         for start in places:
             x, y, z = start.tolist()
             # a first look saves tries; it is the certificate that decides
-            if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.width:
+            if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.clearance_radius_m:
                 break
         return np.asarray(start)
 
@@ -372,7 +372,7 @@ class _Tour:
             share = length / (math.sqrt(way_x * way_x + way_y * way_y) or 1.0)
             end = x + way_x * share, y + way_y * share, middle[2]
             inside = low_x <= end[0] <= high_x and low_y <= end[1] <= high_y
-            if inside and self.clearance.motion_is_free(middle, end, self.body.width):
+            if inside and self.clearance.motion_is_free(middle, end, self.body.clearance_radius_m):
                 return np.array([end[0], end[1], z])
         return None
 
@@ -404,8 +404,8 @@ def _are_apart(first, second, end, heights, near, speed):
     """Walk in steps that the two cannot use up; a gap below a millimetre counts as none."""
     time = 0.0
     while time < end:
-        _, _, x, y, z = place(0, time, first)
-        _, _, u, v, w = place(0, time, second)
+        _, _, x, y, z = find_piece(0, time, first)
+        _, _, u, v, w = find_piece(0, time, second)
         dx, dy, dz = u - x, v - y, w + heights[1] - z - heights[0]
         gap = math.sqrt(dx * dx + dy * dy + dz * dz) - near
         if gap < 1e-3:

@@ -9,7 +9,7 @@ import torch
 import scenegen
 from scenegen.base.errors import GenerationError, StoppedError
 from scenegen.model.training import loop
-from scenegen.model.training.data import Maps, load, opened
+from scenegen.model.training.data import Maps, load_batches, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.schedule import Schedule
 from scenegen.streams.mixture import Component
@@ -70,7 +70,7 @@ def test_no_loader_process_draws_what_another_draws(workers, tmp_path, monkeypat
     monkeypatch.setattr(Component, "draw", draw)
     maps = Maps([streamed()], "train")
     batches = list(Schedule(maps, CONFIG).batches(3, 20))
-    read = load(maps, batches, workers=workers, pinned=False)
+    read = load_batches(maps, batches, workers=workers, pinned=False)
     assert sum(len(one["occupancy"]) for one in read) == 80
     drawn = [path.name.split() for path in tmp_path.iterdir()]
     assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
@@ -88,5 +88,5 @@ def test_unfit_streams_are_refused(folders, monkeypatch):
 
     monkeypatch.setattr(Component, "draw", hopeless)
     for workers in (0, 1):
-        batches = load(maps, [[0]], workers=workers, pinned=False)
+        batches = load_batches(maps, [[0]], workers=workers, pinned=False)
         refuses(workers, list, batches)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.solids import solids_of
 from scenegen.worlds.clearance import Clearance
-from scenegen.worlds.flight import FlightConfig, fly, viewpoints
+from scenegen.worlds.flight import FlightConfig, plan_flight, viewpoints
 from tests.refusals import refuses
 from tests.scenegen.truth.reference import Shape, world_of
 
@@ -32,7 +32,7 @@ def forest(seed):
 def plan(clearance, flight, seed):
     """A path within the bounds of a world with this clearance."""
     world = SimpleNamespace(clearance=clearance, room=lambda *_, rng: BOUNDS)
-    return fly(world, flight, rng=np.random.default_rng(seed))
+    return plan_flight(world, flight, rng=np.random.default_rng(seed))
 
 
 def test_flights_keep_clearance_bounds_and_step():
