@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import measuring
-from real import Scan
+from real import LevelScan
 from scoring import CAREFUL, Options, Results, drawn, measured, publish, tables
 
 from scenegen import Prediction, Sample
@@ -45,7 +45,7 @@ class PointsAlone:
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
         grid = split.dataset.grid
-        scan = Scan(points=sample.points(), position=sample.position, grid=grid)
+        scan = LevelScan(points=sample.points(), position=sample.position, grid=grid)
         said: Prediction = self.network.completion(scan, split)
         return said
 

@@ -15,7 +15,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import build
+from scenegen.model.network import build_network
 
 TITLE = "## Cost of a variant for one map of 80 × 80 × 40 (benchmarks/networks.py)"
 
@@ -33,7 +33,7 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
     `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
     `activation_bytes` is what a training step keeps for its backward pass, float32.
     """
-    network: Any = build(config).train()
+    network: Any = build_network(config).train()
     kept: dict[int, int] = {}
 
     def keep(tensor: Tensor) -> Tensor:

@@ -149,7 +149,7 @@ def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Datase
     return found
 
 
-class Scan(PointScan):
+class LevelScan(PointScan):
     """Points alone, as methods are shown them, in the level frame of their map."""
 
     lidar = None
@@ -189,7 +189,7 @@ def seen_by_others(log: Path) -> list[Seen]:
     found = []
     for n in np.unique(np.linspace(0, len(every) - 1, SCANS).round().astype(int)):
         points = rotate(every[n].pose.quaternion, every[n].points)
-        scan = Scan(points=points, position=np.zeros(3), grid=GRID)
+        scan = LevelScan(points=points, position=np.zeros(3), grid=GRID)
         box = [*scan.origin, *(scan.origin + GRID.voxel_m * np.array(GRID.shape))]
         moved, others = poses.copy(), np.arange(len(every)) != n
         moved[:, 1:4] -= every[n].pose.position

@@ -23,7 +23,7 @@ from lidarsim.sensors.device import angles_deg
 from lidarsim.sensors.spinning import Spinning
 from scenegen.draw.draw import scan_world
 from scenegen.draw.source import named_world
-from scenegen.logs.against import Unit, measure
+from scenegen.logs.against import SensorUnit, measure
 from scenegen.worlds.clouds import Cloud, read_cloud
 
 MODELS = [m for name in CATALOGUE if isinstance(m := SENSORS.find(name), Spinning)]
@@ -116,7 +116,7 @@ def line(name: str, model: Spinning | None, clouds: list[Cloud]) -> str:
     return " | ".join([*cells, ", ".join(taken) or "none"])
 
 
-def unit_of(clouds: list[Cloud], sensor: Spinning) -> Unit | None:
+def unit_of(clouds: list[Cloud], sensor: Spinning) -> SensorUnit | None:
     """The unit, or None if it is refused."""
     try:
         return measure(clouds, sensor)
@@ -124,7 +124,7 @@ def unit_of(clouds: list[Cloud], sensor: Spinning) -> Unit | None:
         return None
 
 
-def facts(unit: Unit) -> list[str]:
+def facts(unit: SensorUnit) -> list[str]:
     """What is measured."""
     said = unit.facts()
     noises = [

@@ -16,11 +16,11 @@ from tyro.conf import Positional
 
 import scenegen
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
-from scenegen.model.network import build, placed
-from scenegen.model.training.course import Course
-from scenegen.model.training.data import Maps, load, opened
+from scenegen.model.network import build_network, placed
+from scenegen.model.training.data import Maps, load_batches, opened
 from scenegen.model.training.device import Group, choose_device
 from scenegen.model.training.loop import Step, optimizer_of
+from scenegen.model.training.schedule import Schedule
 
 
 class Options(measuring.Options):
@@ -46,14 +46,16 @@ def main() -> None:
             waits(learner(given, maps, "proposed", torch.float32), maps, workers, given.steps)
         return
     maps = Maps(opened(given.datasets, "train"), "train")
-    batches = list(Course(maps, TrainConfig(batch=given.batch)).batches(0, given.steps))
-    read = measuring.timed(lambda: sum(1 for _ in load(maps, batches, workers=0, pinned=False)))
+    batches = list(Schedule(maps, TrainConfig(batch=given.batch)).batches(0, given.steps))
+    read = measuring.timed(
+        lambda: sum(1 for _ in load_batches(maps, batches, workers=0, pinned=False))
+    )
     count = 1e3 * sum(map(len, batches))
     print(
         f"loader, one process: {count / read.wall:.0f} samples/s, {count / read.processor:.0f} per "
         f"second of CPU time"
     )
-    batch = next(load(maps, batches, workers=0, pinned=False))
+    batch = next(load_batches(maps, batches, workers=0, pinned=False))
     print(
         f"steps on {choose_device(given.device)}, {torch.get_num_threads()} threads, batch "
         f"{given.batch}; median of {given.rounds}"
@@ -77,7 +79,7 @@ def learner(given: Options, maps: Maps, variant: str, precision: torch.dtype) ->
     update."""
     config = TrainConfig(network=NetworkConfig(variant=variant), batch=given.batch)
     device = choose_device(given.device)
-    made = placed(build(config.network), device)
+    made = placed(build_network(config.network), device)
     return Step(made, optimizer_of(made, config), config, maps.grid, Group(device, precision))
 
 
@@ -86,7 +88,9 @@ def waits(learn: Step, maps: Maps, workers: int, steps: int) -> None:
     over all steps but the first, in which processes begin."""
     config = TrainConfig(maps=10**6, batch=learn.config.batch)
     found, at = [], time.perf_counter()
-    for batch in load(maps, Course(maps, config).batches(0, steps), workers=workers, pinned=False):
+    for batch in load_batches(
+        maps, Schedule(maps, config).batches(0, steps), workers=workers, pinned=False
+    ):
         ready = time.perf_counter()
         learn(batch, 1e-3)
         found.append((ready - at, time.perf_counter() - ready))

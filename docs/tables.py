@@ -5,7 +5,7 @@
 
 A page asks for a table by two comments, between which it goes:
 
-    <!-- parameters of scenegen.worlds.flight:Flight -->
+    <!-- parameters of scenegen.worlds.flight:FlightConfig -->
     <!-- end -->
 
 `<!-- sensors -->` asks for the catalogue of sensors in the same way, `<!-- stages -->` for the

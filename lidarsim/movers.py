@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim.engines import Caster
 from lidarsim.engines.analytic import Hits
-from lidarsim.engines.forms import meet, normal, squared_reaches
+from lidarsim.engines.forms import meet, squared_reaches, surface_normal
 from lidarsim.engines.traverse import FARTHER
 from lidarsim.grid import Floats, Ints, Mask, rays_of
 from lidarsim.jit import kernel
@@ -518,7 +518,7 @@ def velocity(course, piece, u):
 
 
 @kernel
-def place(m, time, courses):
+def find_piece(m, time, courses):
     """Find the piece of mover `m` at a time, the seconds since that piece began, and the mover's
     place.
 
@@ -549,7 +549,7 @@ def place(m, time, courses):
 def _poses(time, courses, result):
     course = courses[3]
     for m in range(len(result)):
-        piece, u, x, y, z = place(m, time, courses)
+        piece, u, x, y, z = find_piece(m, time, courses)
         hx, hy = _value(course, piece, 3, u), _value(course, piece, 4, u)
         dx, dy = _slope(course, piece, 3, u), _slope(course, piece, 4, u)
         square = hx * hx + hy * hy
@@ -591,7 +591,7 @@ def _nearest(
                 if along * along < surplus or (outside and along > 0.0):
                     continue
                 time = times[n if len(times) > 1 else 0]
-                piece, u, x, y, z = place(m, time, courses)
+                piece, u, x, y, z = find_piece(m, time, courses)
                 _, _, _, hx, hy = pose(course, piece, u)
                 ux, uy, uz = starts[p, 0] - x, starts[p, 1] - y, starts[p, 2] - z
                 # to the mover's frame: the transpose of a turn about the vertical
@@ -626,11 +626,11 @@ def _surfaces(
             for axis in range(3):
                 points[p, n, axis] = starts[p, axis] + ranges[p, n] * rays[p, n, axis]
             time = times[n if len(times) > 1 else 0]
-            piece, u, x, y, z = place(owner[s], time, courses)
+            piece, u, x, y, z = find_piece(owner[s], time, courses)
             _, _, _, hx, hy = pose(course, piece, u)
             sx, sy, sz = points[p, n, 0] - x, points[p, n, 1] - y, points[p, n, 2] - z
             px, py = hx * sx + hy * sy - offset[s, 0], hx * sy - hy * sx - offset[s, 1]
             pz = sz - offset[s, 2]
-            x, y, z = normal(shape[s], size[s, 0], size[s, 1], size[s, 2], px, py, pz)
+            x, y, z = surface_normal(shape[s], size[s, 0], size[s, 1], size[s, 2], px, py, pz)
             normals[p, n, 0], normals[p, n, 1] = hx * x - hy * y, hy * x + hx * y
             normals[p, n, 2] = z

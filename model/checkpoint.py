@@ -22,7 +22,7 @@ from scenegen.base.files import Json, write_atomic
 from scenegen.base.limits import MAX_HEADER_BYTES, MAX_WEIGHTS_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.model.config import NetworkConfig, is_own
-from scenegen.model.network import build
+from scenegen.model.network import build_network
 
 FORMAT = "scenegen-network"
 VERSION = 1
@@ -147,12 +147,12 @@ def load_network(path: Path, trusted: Collection[str] = ()) -> tuple[Any, GridSp
     try:
         config, grid = network_from(header)
         metadata = dict(header.get("about", {}))
-        # before `build`, which imports the code
+        # before `build_network`, which imports the code
         check_own(path, trusted, config.variant, *config.inputs, *config.targets)
         # on "meta", a network takes no memory, so a header cannot allocate more than the file
         # holds; a user's own class may compute with its weights when it is made
         with torch.device("cpu" if is_own(config.variant) else "meta"):
-            network = build(config)
+            network = build_network(config)
         expected = network.state_dict()
         # torch forgives some missing entries, such as step counts of batch norms
         if odd := sorted(tensors.keys() ^ expected.keys()):

@@ -108,7 +108,7 @@ METHODS = Registry(
     "method",
     {
         "empty": "scenegen.model.completion.protocol:Empty",
-        "returns": "scenegen.model.completion.protocol:Returns",
+        "returns": "scenegen.model.completion.protocol:ReturnsCompleter",
         "conservative": "scenegen.model.completion.protocol:Conservative",
         "extrude": "scenegen.model.completion.protocol:Extrude",
         "truth": "scenegen.model.bench.methods:Truth",
@@ -135,7 +135,7 @@ def target_name(name: str) -> str:
     return name.rpartition(":")[2].lower()
 
 
-def named(registry: Registry, name: str) -> Any:
+def import_named(registry: Registry, name: str) -> Any:
     """Import an object of a registry.
 
     Args:

@@ -18,7 +18,7 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.voxelization import sort_points
 from scenegen.base.errors import DatasetError, own_code
 from scenegen.draw.sample import Sample
-from scenegen.model.config import INPUTS, is_own, named
+from scenegen.model.config import INPUTS, import_named, is_own
 from scenegen.truth import distance_field
 
 SYMMETRIES = 8
@@ -155,7 +155,7 @@ def input_called(name: str) -> Channel:
     Raises:
         ScenegenError: There is no such input.
     """
-    function = named(INPUTS, name)
+    function = import_named(INPUTS, name)
     if not is_own(name):
         return function
 

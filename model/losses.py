@@ -15,7 +15,7 @@ import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.model.config import LOSSES, LossConfig, Thresholds, is_own, named
+from scenegen.model.config import LOSSES, LossConfig, Thresholds, import_named, is_own
 from scenegen.model.network import Batch, Output
 from scenegen.model.targets import BUILT_IN, Target
 
@@ -62,7 +62,7 @@ def loss_of(
     """
     if not is_own(config.objective):
         return Coupled(config, grid, divisor, targets)
-    objective = named(LOSSES, config.objective)
+    objective = import_named(LOSSES, config.objective)
     function = objective(config, grid) if isinstance(objective, type) else objective
 
     return lambda output, batch: summed(function(output, batch))

@@ -31,7 +31,7 @@ from scenegen.model.config import (
     TASKS,
     VARIANTS,
     NetworkConfig,
-    named,
+    import_named,
     target_name,
 )
 from scenegen.model.targets import Target, targets_of
@@ -89,7 +89,7 @@ class Output(NamedTuple):
         }
 
 
-def build(config: NetworkConfig) -> nn.Module:
+def build_network(config: NetworkConfig) -> nn.Module:
     """Make a network with random weights.
 
     Args:
@@ -104,7 +104,7 @@ def build(config: NetworkConfig) -> nn.Module:
     """
     who = f"variant {config.variant}"
     with own_code(f"{who}: cannot be made of a NetworkConfig"):
-        network = named(NETWORKS, config.variant)(config)
+        network = import_named(NETWORKS, config.variant)(config)
     if not isinstance(network, nn.Module):
         raise ScenegenError(f"{who}: makes {type(network).__name__}, expected a torch.nn.Module")
     network.register_forward_pre_hook(_without_truth)

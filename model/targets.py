@@ -29,7 +29,7 @@ from scenegen.base.errors import (
 )
 from scenegen.base.limits import MAX_CLASSES
 from scenegen.draw.sample import Sample
-from scenegen.model.config import HORIZONS, TARGETS, is_own, named, target_name
+from scenegen.model.config import HORIZONS, TARGETS, import_named, is_own, target_name
 from scenegen.model.inputs import turned
 from scenegen.truth import distance_field
 
@@ -243,7 +243,7 @@ def target_called(name: str) -> Target:
     Raises:
         ScenegenError: There is no such target, or it is something else.
     """
-    kind = named(TARGETS, name)
+    kind = import_named(TARGETS, name)
     with reraise_as(ScenegenError, f"target {name}: cannot be made: ", of=TypeError):
         target: Target = kind(HORIZONS[name]) if name in HORIZONS else kind()
     if not isinstance(target, Target):

@@ -242,7 +242,7 @@ def squared_reaches(shape: Ints, size: Floats) -> Floats:
 
 
 @kernel
-def normal(shape, a, b, c, px, py, pz):
+def surface_normal(shape, a, b, c, px, py, pz):
     """Compute the outward unit normal at a point on a shape's surface, in its frame.
 
     Args:

@@ -16,7 +16,7 @@ from lidarsim.engines.forms import (
     meet_ball,
     meet_plane,
     meet_triangle,
-    normal,
+    surface_normal,
     upright,
 )
 from lidarsim.engines.hierarchy import WAITING, WIDTH
@@ -405,7 +405,7 @@ def surfaces_of(
             else:
                 sx, sy, sz = joining(position[g], point)
                 px, py, pz = local(rotation[g], sx, sy, sz)
-                x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
+                x, y, z = surface_normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
                 for axis in range(3):
                     # the rotation takes the normal to the world's frame
                     turn = rotation[g, axis]

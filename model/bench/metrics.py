@@ -26,7 +26,7 @@ from scenegen.model.config import (
     NEAR_M,
     OWN_METRICS,
     Thresholds,
-    named,
+    import_named,
     target_name,
 )
 from scenegen.model.targets import Target, target_called
@@ -268,7 +268,7 @@ def find_metrics(names: Sequence[str]) -> tuple[dict[str, Metric], dict[str, Tar
         if name in HORIZONS:
             targets[name] = target_called(name)
             continue
-        entry, short = named(OWN_METRICS, name), name.rpartition(":")[2]
+        entry, short = import_named(OWN_METRICS, name), name.rpartition(":")[2]
         if inspect.isclass(entry):
             entry = entry()
         # its metrics are measured under the target's name, see `metrics_of`

@@ -284,7 +284,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
                 name: reliability(np.array(method.probabilities), result.worlds) or None
                 for name, method in methods
             }
-    return finite(report)
+    return nan_as_none(report)
 
 
 def notes(about: Json) -> list[str]:
@@ -301,12 +301,12 @@ def trial_counts(about: Json) -> str:
     )
 
 
-def finite(value: Any) -> Any:
+def nan_as_none(value: Any) -> Any:
     """Replace numbers that are NaN or infinite by None, in a tree of dicts and lists."""
     if isinstance(value, Mapping):
-        return {name: finite(item) for name, item in value.items()}
+        return {name: nan_as_none(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
+        return [nan_as_none(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

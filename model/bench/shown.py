@@ -28,7 +28,7 @@ from scenegen.model.bench.run import (
 from scenegen.model.bench.trials import judge, plan_trial
 from scenegen.model.bench.visibility import Case
 from scenegen.model.config import BenchConfig, PlanConfig
-from scenegen.view.look import Guess, Route, look_into
+from scenegen.view.look import Guess, PlannedPath, look_into
 from scenegen.view.page import page
 
 
@@ -79,7 +79,7 @@ def guesses(
 
 def route_to(
     goal: Floats, occupied: Mask, tudf: Field, risk: Field | None, case: Case, config: PlanConfig
-) -> Route:
+) -> PlannedPath:
     """Plan a path on predicted maps as the bench does, and judge it in the truth.
 
     Args:
@@ -100,7 +100,7 @@ def route_to(
     outcome = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:
         outcome = CAUSES[measured.cause]
-    return Route(
+    return PlannedPath(
         start=origin + lattice.centres(lattice.start),
         goal=origin + goal,
         points=None if refined is None else origin + refined,

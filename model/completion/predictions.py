@@ -32,7 +32,7 @@ from scenegen.model.inputs import channels
 
 PART = 100
 """Samples in a file, which is the unit of work, of writing and of recovery, as a shard is."""
-Part = tuple[str, Sequence[int]]
+PredictionTask = tuple[str, Sequence[int]]
 """The name of a file, and the samples whose predictions it holds, by their numbers."""
 
 
@@ -96,7 +96,7 @@ def predict_split(
     # a runtime's threads do not outlive a fork: each process opens the network by itself
     network = completer if execute is None else completer.opened
     execute = execute or ALONE
-    tasks, damaged = list[Part](), list[str]()
+    tasks, damaged = list[PredictionTask](), list[str]()
     for part in execute.mine(parts):
         if part[0] in existing:
             # a disk may have damaged it since: each file is read before it is relied on
@@ -109,7 +109,7 @@ def predict_split(
     return SplitReport([far for some in results for far in some if far is not None], damaged)
 
 
-def _is_intact(out: Path, samples: Split, facts: Mapping[str, str], part: Part) -> bool:
+def _is_intact(out: Path, samples: Split, facts: Mapping[str, str], part: PredictionTask) -> bool:
     """Check that an existing file holds the predictions of these samples as they were written."""
     name, numbers = part
     shape = samples.dataset.grid.shape
@@ -126,7 +126,7 @@ def _write(
     samples: Split,
     facts: Mapping[str, str],
     out: Path,
-    part: Part,
+    part: PredictionTask,
 ) -> list[float | None]:
     """Write the predictions of some samples into a file of the folder `out`, whole or not at all. A
     network that is not passed is opened. Returns how unfamiliar each sample is; None if unknown."""

@@ -303,7 +303,7 @@ UPRIGHT[1, 1] = True
 """A voxel's neighbours in its column."""
 
 
-class Returns:
+class ReturnsCompleter:
     """Occupied where something returned, free elsewhere. A robot that trusts its map as it is flies
     by this."""
 

@@ -55,7 +55,7 @@ MIN_BELOW, LOWEST = 20, 0.1
 It is the ground if the sensor looks down far enough."""
 
 
-class Scan(NamedTuple):
+class CompletionScan(NamedTuple):
     """A scan to complete."""
 
     name: str
@@ -70,7 +70,7 @@ class Scan(NamedTuple):
     known."""
 
 
-Task: TypeAlias = tuple[str, Callable[[], Scan]]
+Task: TypeAlias = tuple[str, Callable[[], CompletionScan]]
 """Name of a completion, and a function that reads its scan, which raises DatasetError."""
 
 
@@ -94,7 +94,7 @@ class ScanReport:
     knows; None without a truth."""
 
 
-def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan:
+def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> CompletionScan:
     """Read the scan in a file, with the truth if it is an observation.
 
     Args:
@@ -120,7 +120,7 @@ def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan
             content = read_bounded(path, MAX_SCAN_BYTES)
             values = read_npz(content, *TRUTH, "voxel_m", max_bytes=MAX_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), values, strict=True))
-    return Scan(str(path), cloud.points, position, cloud.layout, truth)
+    return CompletionScan(str(path), cloud.points, position, cloud.layout, truth)
 
 
 def scans_of_log(log: Log, every: int) -> Iterator[Task]:
@@ -134,7 +134,7 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
         A task for each scan.
     """
 
-    def read(name: str, scan: LogScan) -> Scan:
+    def read(name: str, scan: LogScan) -> CompletionScan:
         """Move a scan into the frame of the poses.
 
         Args:
@@ -148,7 +148,7 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
         points = rotate(scan.pose.quaternion, scan.points) + position
         # in the sensor's frame, points without a return are exactly 0; here, they lie at the sensor
         points[~are_returns(scan.points)] = np.nan
-        return Scan(name, points, position, "")
+        return CompletionScan(name, points, position, "")
 
     for number, scan in enumerate(log.scans()):
         if number % every == 0:
@@ -157,7 +157,7 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
 
 def predict_scan(
     completer: Completer,
-    scan: Scan,
+    scan: CompletionScan,
     out: Path,
     *,
     name: str = "",
@@ -209,7 +209,7 @@ def predict_scan(
     )
 
 
-def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
+def _truth_of(scan: CompletionScan, grid: GridSpec) -> dict[str, Any]:
     """Return the truth that came with a scan; {} if it is on another grid than the network's."""
     truth = {name: np.asarray(scan.truth[name]) for name in TRUTH if scan.truth}
     fits = all(part.shape == grid.shape and part.dtype == np.bool_ for part in truth.values())

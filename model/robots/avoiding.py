@@ -16,7 +16,7 @@ from lidarsim.pose import rotate
 from lidarsim.scan import is_return
 from scenegen.draw.movers import mover_voxels
 from scenegen.fly.simulation import Observation
-from scenegen.model.completion.protocol import Returns
+from scenegen.model.completion.protocol import ReturnsCompleter
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.worlds.clearance import MoversClearance
 from scenegen.worlds.world import World
@@ -174,7 +174,7 @@ class TrackingRobot(AvoidingRobot):
     """
 
     def __init__(self, *, predicts: bool, brakes: float | None = None):
-        super().__init__(Returns(), brakes=brakes)
+        super().__init__(ReturnsCompleter(), brakes=brakes)
         self._predicts = predicts
 
     def reset(self, about: Observation) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, latency_of, named, part_of
+from scenegen.fly.suite import SuiteCoverage, coverage_of, entry_course, latency_of
 from scenegen.model.bench.statistics import Scale, brief, summarise
 from scenegen.model.tables import Table, framed, page
 
@@ -85,12 +85,12 @@ def leaderboard(folder: Path, out: Path) -> str:
         DatasetError: A file is no entry, or has courses that are not its suite's.
     """
     # only entries that flew the same worlds can be compared, so each choice of courses has a table
-    tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
+    tables: dict[tuple[str, ...], tuple[SuiteCoverage, list[Row]]] = {}
     films = ""
     for path in sorted(folder.glob("*.json")):
         entry = read_recording(path)
         with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
-            part = part_of(entry)
+            part = coverage_of(entry)
         row = _row(entry)
         key = (str(entry.suite), str(part), *row.worlds)
         tables.setdefault(key, (part, []))[1].append(row)
@@ -111,7 +111,7 @@ def leaderboard(folder: Path, out: Path) -> str:
 def _row(entry: Recording) -> Row:
     """An entry's flights, with the scores that their outcomes, times and lengths give."""
     courses, scored = [], []
-    for course, flights in sorted(entry.courses, key=lambda flight: str(named(flight[0]))):
+    for course, flights in sorted(entry.courses, key=lambda flight: str(entry_course(flight[0]))):
         for number, flight in enumerate(flights):
             best_s = flight.shortest_m / course.vehicle.speed_mps
             # from the outcome, the time and the lengths, which `fly replay` checks

@@ -24,7 +24,7 @@ from scenegen.model.config import split_own
 from scenegen.model.robots import NAMES, WITH_NETWORK, split_robot_name
 from scenegen.model.robots.flights import open_recording, robot_maker
 from scenegen.model.robots.mapping import within
-from scenegen.view.look import Guess, Look, Route, field_of_view
+from scenegen.view.look import Guess, Look, PlannedPath, field_of_view
 from scenegen.worlds.world import World
 
 PERIODS_PER_PICTURE = 3
@@ -132,7 +132,7 @@ def looks_of_flight(
         observed = sort_points(scanned_at, returns, grid, origin).observed
         ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
         outcome = flown.outcome if at_end else "under way"
-        route = Route(
+        route = PlannedPath(
             start=np.array(mission.start),
             goal=np.array(mission.goal),
             points=np.concatenate([moment.way, ahead]),

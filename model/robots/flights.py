@@ -15,37 +15,23 @@ from scenegen.base.errors import DatasetError, ScenegenError, reraise_as
 from scenegen.base.executors import Executor, Function, counted, undone_if_stopped
 from scenegen.base.files import Json, check_ours, write_atomic, write_result
 from scenegen.fly import TRACKS
-from scenegen.fly.course import (
-    Course,
-    Flights,
-    FlownCourse,
-    Recording,
-    read_recording,
-    replay,
-)
+from scenegen.fly.course import Course, Flights, FlownCourse, Recording, read_recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
 from scenegen.fly.suite import (
     QUICK,
+    coverage_of,
+    entry_course,
     frozen_courses,
     hidden_course,
     is_whole,
     late,
     latency_of,
-    named,
-    part_of,
     track_name,
 )
-from scenegen.model.completion.protocol import Conservative, Extrude, Returns
-from scenegen.model.robots import (
-    COMPLETES_EVERY,
-    FORESEEING,
-    FORGETFUL,
-    NAMES,
-    REACTIVE,
-    SAMPLING,
-)
+from scenegen.model.completion.protocol import Conservative, Extrude, ReturnsCompleter
+from scenegen.model.robots import COMPLETES_EVERY, FORESEEING, FORGETFUL, NAMES, REACTIVE, SAMPLING
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.sampling import SamplingRobot
@@ -86,11 +72,11 @@ def robot_maker(
         )
     known = {
         # occupied where the last scan, or any scan, returned; unknown voxels are free
-        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False, brakes=brakes),
-        "optimistic": lambda course: MappingRobot(Returns(), brakes=brakes),
+        FORGETFUL: lambda course: MappingRobot(ReturnsCompleter(), memory=False, brakes=brakes),
+        "optimistic": lambda course: MappingRobot(ReturnsCompleter(), brakes=brakes),
         # unknown voxels are occupied
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True, brakes=brakes),
-        SAMPLING: lambda course: SamplingRobot(Returns(), brakes=brakes),
+        SAMPLING: lambda course: SamplingRobot(ReturnsCompleter(), brakes=brakes),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True, brakes=brakes),
         # movers are expected to stay, or to go on
         "forgetting": lambda course: TrackingRobot(predicts=False, brakes=brakes),
@@ -305,7 +291,7 @@ def fly_courses(
         The flights, in the order of the courses.
     """
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
-    keys = [named(course) for course in courses]
+    keys = [entry_course(course) for course in courses]
     # a run has one latency, for all of its courses
     flown = _recorded(out, entry, keys, courses[0].rules.latency_s)
     missing = [course for course, key in zip(courses, keys, strict=True) if key not in flown]
@@ -326,7 +312,7 @@ def fly_courses(
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
             for course, flights in crew(work, missing, total):
-                flown[named(course)] = course, flights
+                flown[entry_course(course)] = course, flights
                 if suite and time.monotonic() - saved_s > SAVED_S:
                     save()
                     saved_s = time.monotonic()
@@ -368,7 +354,7 @@ def _recorded(
             "or another name"
         )
     # writing the entry would lose flights of courses that are not among these
-    flown = {named(course): (course, flights) for course, flights in earlier.courses}
+    flown = {entry_course(course): (course, flights) for course, flights in earlier.courses}
     if not flown.keys() <= {*keys}:
         raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
     return flown
@@ -397,7 +383,7 @@ def open_recording(
             raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
         return recording, {}
     with reraise_as(DatasetError, f"{path}: ", of=DatasetError):
-        part = part_of(recording)
+        part = coverage_of(recording)
     public = recording.track if recording.track in TRACKS else TRACKS[0]
     if recording.track != (track := track_name(public, hidden, maps)):
         raise ScenegenError(
@@ -405,10 +391,12 @@ def open_recording(
             "replay takes --hidden and its number, --maps and their folder, or neither"
         )
     # the suite's own courses: a stranger's file could lead to other worlds by the same names
-    frozen = {named(course): course for course in frozen_courses(track, maps)}
+    frozen = {entry_course(course): course for course in frozen_courses(track, maps)}
     courses = [
         (
-            replace(late(frozen[named(course)], course.rules.latency_s), document=course.document),
+            replace(
+                late(frozen[entry_course(course)], course.rules.latency_s), document=course.document
+            ),
             flights,
         )
         for course, flights in recording.courses
@@ -448,11 +436,11 @@ def fly_anew(recording: Recording, work: Work, crew: Crew) -> tuple[int, list[Fl
     Returns:
         How many flights that are, and those that differ from the recording in a bit.
     """
-    before = {named(course): flights for course, flights in recording.courses[::QUICK]}
+    before = {entry_course(course): flights for course, flights in recording.courses[::QUICK]}
     count, unlike = sum(map(len, before.values())), list[Flown]()
     courses = [course for course, _ in recording.courses[::QUICK]]
     for course, flown in crew(work, courses, count):
-        pairs = zip(flown, before[named(course)], strict=True)
+        pairs = zip(flown, before[entry_course(course)], strict=True)
         unlike += [again for again, recorded in pairs if again.digest != recorded.digest]
     return count, unlike
 

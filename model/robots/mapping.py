@@ -17,7 +17,7 @@ from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 from scenegen.model.bench.planner import field_at, refine
 from scenegen.model.bench.trials import RATHER, risk_of
-from scenegen.model.completion.protocol import Prediction, Returns, complete_seen, forget
+from scenegen.model.completion.protocol import Prediction, ReturnsCompleter, complete_seen, forget
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.inputs import SeenMap
 from scenegen.model.robots.steering import follow, lag_s, no_way
@@ -377,7 +377,7 @@ class TruthRobot(MappingRobot):
     that its voxels allow, which may pass close to solids."""
 
     def __init__(self, world: World | Place):
-        super().__init__(Returns())  # which it does not ask
+        super().__init__(ReturnsCompleter())  # which it does not ask
         self._world = world
 
     def believed(self) -> tuple[Mask, Field]:

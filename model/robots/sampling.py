@@ -11,9 +11,9 @@ from lidarsim.grid import Floats, Ints, Mask, Vector
 from lidarsim.jit import kernel
 from scenegen.model.bench.trials import RATHER
 from scenegen.model.robots.mapping import PLAN, MappingRobot
-from scenegen.worlds.flight import Flight, connect, points_of
+from scenegen.worlds.flight import FlightConfig, connect, points_of
 
-SEARCH = Flight(iterations=800, step_m=3.0, goal_tolerance_m=0.2)
+SEARCH = FlightConfig(iterations=800, step_m=3.0, goal_tolerance_m=0.2)
 """How many points are drawn for a path, its longest edge, and how near to the goal it ends."""
 
 

@@ -397,7 +397,7 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
     return orders
 
 
-def load(
+def load_batches(
     maps: Maps, batches: Iterable[Sequence[Any]], *, workers: int, pinned: bool
 ) -> Generator[Batch]:
     """Read batches. Close the generator to end its processes.
@@ -440,10 +440,10 @@ def loaders_watched() -> Iterator[None]:
     """Turn torch's error for a dead loader process into a `LoaderError`.
 
     Torch raises a RuntimeError from a signal handler, so it can come anywhere in the training, not
-    only in `load`.
+    only in `load_batches`.
 
     Raises:
-        LoaderError: if a process of `load` died.
+        LoaderError: if a process of `load_batches` died.
     """
     try:
         yield

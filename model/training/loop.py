@@ -33,11 +33,17 @@ from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.completion.protocol import Prediction, PredictionError, check_prediction
 from scenegen.model.config import FIGURES, VARIANTS, TrainConfig, is_own
 from scenegen.model.losses import loss_of, summed
-from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.network import Batch, Output, build_network, placed
 from scenegen.model.targets import BUILT_IN
 from scenegen.model.training.card import Scalars
-from scenegen.model.training.course import Course, scored_map, validate, validated_metrics
-from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
+from scenegen.model.training.data import (
+    Key,
+    Maps,
+    Samples,
+    check_alike,
+    load_batches,
+    loaders_watched,
+)
 from scenegen.model.training.device import (
     Group,
     TrainingError,
@@ -47,6 +53,7 @@ from scenegen.model.training.device import (
     resolve_precision,
 )
 from scenegen.model.training.run_folder import CONFIG, Progress, RunFolder
+from scenegen.model.training.schedule import Schedule, scored_map, validate, validated_metrics
 
 PACKAGES = ("torch", "safetensors")
 """Packages whose versions a network's file records, besides those that a dataset records."""
@@ -126,34 +133,34 @@ def train(
     group = Group(torch_device, dtype)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
-        course = Course(maps, config)
+        schedule = Schedule(maps, config)
         torch.manual_seed(config.seed)
-        network = placed(build(config.network), torch_device)
+        network = placed(build_network(config.network), torch_device)
         settings = describe(maps, config, dtype)
         if weights is not None:
             settings["weights"] = begin_from(weights, network)
         rehearse(network, config, checks, torch_device)
-        metadata = {"settings": settings, **origin(maps, command, torch_device)}
+        metadata = {"settings": settings, **describe_origin(maps, command, torch_device)}
         group.first_alone(lambda: folder.open(metadata))
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
         learn = Step(network, optimizer, config, maps.grid, group)
-        while steps := course.steps(progress):
+        while steps := schedule.steps(progress):
             # a continued epoch began earlier, and has finished some steps
             begin, finished = time.monotonic() - progress.seconds, progress.step
-            watcher.on_start(progress.epoch, len(steps) * course.batch, finished * course.batch)
+            watcher.on_start(progress.epoch, len(steps) * schedule.batch, finished * schedule.batch)
             network.train()
             # loaders read ahead of the steps, so the keys are iterated twice
             batches, ahead = itertools.tee(
-                course.batches(steps.start + finished, len(steps) - finished)
+                schedule.batches(steps.start + finished, len(steps) - finished)
             )
             mine = (batch[group.rank :: group.size] for batch in ahead)
-            read = load(maps, mine, workers=workers, pinned=torch_device.type == "cuda")
+            read = load_batches(maps, mine, workers=workers, pinned=torch_device.type == "cuda")
             with closing(read):
                 for step, batch, tensors in zip(steps[finished:], batches, read, strict=False):
                     # a user's own network may draw, as dropout does; a continued run draws the same
                     torch.manual_seed(config.seed + step * group.size + group.rank)
-                    losses = learn(tensors, course.rate(step, progress.decay))
+                    losses = learn(tensors, schedule.rate(step, progress.decay))
                     check_finite(losses, maps, batch, progress)
                     progress.add(losses, seconds=time.monotonic() - begin)
                     watcher.on_step(len(batch), losses["loss"])
@@ -166,7 +173,7 @@ def train(
             validated = validate(network, checks, config, group, workers)
             check_finite({"validation loss": validated["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
-            row = progress.close(validated, maps=steps.stop * course.batch, seconds=seconds)
+            row = progress.close(validated, maps=steps.stop * schedule.batch, seconds=seconds)
             # the others wait, so that none returns before the network is written
             group.first_alone(
                 lambda: folder.close_round(progress, network, maps.grid, metadata, config.choose)
@@ -396,7 +403,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     }
 
 
-def origin(maps: Maps, command: str, device: torch.device) -> Json:
+def describe_origin(maps: Maps, command: str, device: torch.device) -> Json:
     """Describe the origin of a network, besides its settings.
 
     Args:

@@ -27,13 +27,13 @@ GO_ON = "what is written is kept: give the same command again to go on"
 """Advice when a task cannot be finished."""
 
 
-Outcome = tuple[Any, str]
+TaskOutcome = tuple[Any, str]
 """Outcome of a remote task: its result and ""; or its exception and the machine's name. A machine
 without our scenegen returns a text in place of an exception."""
 
 
 def taken(value: Any, node: str) -> Any:
-    """Unwrap an `Outcome`.
+    """Unwrap a `TaskOutcome`.
 
     Args:
         value: The result, or the exception or text of a failure.
@@ -81,7 +81,7 @@ def _unpack(packed: bytes) -> Any:
 
 def sent(
     function: Callable[[Any], Any], pickler: type[pickle.Pickler] = pickle.Pickler
-) -> Callable[[bytes], Outcome]:
+) -> Callable[[bytes], TaskOutcome]:
     """Wrap a function for remote calls with packed tasks.
 
     cloudpickle pickles the wrapper by value, since it is a nested function; so the remote machine
@@ -92,12 +92,12 @@ def sent(
         pickler: Pickler class for `function`.
 
     Returns:
-        A function from a packed task to an `Outcome`.
+        A function from a packed task to a `TaskOutcome`.
     """
     folder = str(Path.cwd())
     command = pack(function, pickler), identity(), folder, folder in sys.path
 
-    def call_remote(task: bytes) -> Outcome:
+    def call_remote(task: bytes) -> TaskOutcome:
         try:
             # imported here: as a global, it would be needed to unpickle this function, and a
             # machine without scenegen could not report that
@@ -115,7 +115,7 @@ def sent(
 
 def received(
     task: bytes, parcel: bytes, sender: dict[str, Any], folder: str, importable: bool
-) -> Outcome:
+) -> TaskOutcome:
     """Run a task on the machine that it was sent to.
 
     Args:
@@ -126,7 +126,7 @@ def received(
         importable: Whether modules may be imported from that folder: the user named one in it.
 
     Returns:
-        The `Outcome`.
+        The `TaskOutcome`.
 
     Raises:
         ImportError: if a package is not installed here.
@@ -163,7 +163,7 @@ def _function(parcel: bytes) -> Callable[[Any], Any]:
     return _unpack(parcel)
 
 
-def named(task: Any) -> str:
+def task_name(task: Any) -> str:
     """Name of a task for messages: its file, if it has one."""
     return str(getattr(task, "file", task))[:200]
 
@@ -252,8 +252,8 @@ class Ray(Executor):
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
-                            f"{named(task)}: lost {MAX_RETRIES + 1} times with its process or node "
-                            f"({reason}); {GO_ON}"
+                            f"{task_name(task)}: lost {MAX_RETRIES + 1} times with its process or "
+                            f"node ({reason}); {GO_ON}"
                         ) from None
                     yield taken(*outcome)
         finally:

@@ -1,6 +1,6 @@
 """Stores: remote places for datasets, named by a URL.
 
-A `Store` has six operations on whole files, over fsspec. Datasets are written to a `Place`, a
+A `Store` has six operations on whole files, over fsspec. Datasets are written to a `Location`, a
 folder or a store. They are read from folders; a store's files are mirrored (see
 `scenegen.base.mirrors`).
 """
@@ -334,7 +334,7 @@ def _connect(url: str, process: int) -> tuple[Any, str]:
     return system, path
 
 
-Place = Path | Store
+Location = Path | Store
 """Location of a dataset: a local folder, or a store."""
 
 
@@ -343,8 +343,8 @@ def is_remote(name: object) -> bool:
     return isinstance(name, str) and REMOTE.match(name) is not None
 
 
-def place_of(name: str) -> Place:
-    """Make a `Place` of a name that a user gave.
+def location_of(name: str) -> Location:
+    """Make a `Location` of a name that a user gave.
 
     Raises:
         DatasetError: if the URL is malformed.
@@ -358,16 +358,16 @@ def place_of(name: str) -> Place:
     return Path(name)
 
 
-def names_at(place: Place) -> Mapping[str, int | None]:
+def names_at(location: Location) -> Mapping[str, int | None]:
     """Names of a dataset's files, with their sizes in bytes at a store."""
-    return place.list() if isinstance(place, Store) else dict.fromkeys(list_dir(place))
+    return location.list() if isinstance(location, Store) else dict.fromkeys(list_dir(location))
 
 
-def read_at(place: Place, name: str, max_bytes: int) -> bytes:
+def read_at(location: Location, name: str, max_bytes: int) -> bytes:
     """Read a file of a dataset.
 
     Args:
-        place: The dataset's location.
+        location: The dataset's location.
         name: The file.
         max_bytes: Largest allowed size.
 
@@ -375,36 +375,36 @@ def read_at(place: Place, name: str, max_bytes: int) -> bytes:
         FileNotFoundError: if there is no such file.
         DatasetError: if it is larger.
     """
-    if isinstance(place, Store):
-        return place.read(name, max_bytes)
-    return read_bounded(place / name, max_bytes)
+    if isinstance(location, Store):
+        return location.read(name, max_bytes)
+    return read_bounded(location / name, max_bytes)
 
 
-def create_at(place: Place, name: str, content: bytes) -> None:
+def create_at(location: Location, name: str, content: bytes) -> None:
     """Write a file of a dataset.
 
     Args:
-        place: The dataset's location.
+        location: The dataset's location.
         name: The file.
         content: The bytes.
 
     Raises:
         ConflictError: if a store holds the file with other content.
     """
-    if isinstance(place, Store):
-        place.create(name, content)
+    if isinstance(location, Store):
+        location.create(name, content)
     else:
-        write_atomic(place / name, content)
+        write_atomic(location / name, content)
 
 
-def remove_at(place: Place, name: str) -> None:
+def remove_at(location: Location, name: str) -> None:
     """Remove a file of a dataset if it exists.
 
     Args:
-        place: The dataset's location.
+        location: The dataset's location.
         name: The file.
     """
-    if isinstance(place, Store):
-        place.remove(name)
+    if isinstance(location, Store):
+        location.remove(name)
     else:
-        (place / name).unlink(missing_ok=True)
+        (location / name).unlink(missing_ok=True)

@@ -32,7 +32,7 @@ from scenegen.cli.options import (
     split_option,
     together,
 )
-from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, info, show_columns
+from scenegen.cli.show import ProgressBar, Reporter, announce_compilation, echo, info, show_columns
 from scenegen.cli.types import FILE, Named
 from scenegen.model.config import (
     DEFAULT_NETWORK,
@@ -290,7 +290,7 @@ def bench(
         # only networks know what they were trained on
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             info(f"note: {dataset.name}: {warning}")
-    with Progress("bench", visible=verbose) as progress:
+    with ProgressBar("bench", visible=verbose) as progress:
         results = bench_all(
             measured,
             methods,
@@ -425,7 +425,7 @@ def calibrate(
     if verbose:
         announce_compilation()
     folders = find_datasets(datasets, show_progress=verbose)
-    with Progress("calibrate", visible=verbose) as progress:
+    with ProgressBar("calibrate", visible=verbose) as progress:
         calibration = fit(
             weights, folders, out, **options, on_start=progress.start, on_done=progress.count
         )

@@ -26,7 +26,7 @@ from scenegen.cli.options import (
     was_given,
     workers_by,
 )
-from scenegen.cli.show import Progress, echo, info
+from scenegen.cli.show import ProgressBar, echo, info
 from scenegen.cli.types import DatasetPath, Number, OutputFile
 from scenegen.model.config import DEFAULT_NETWORK
 
@@ -210,7 +210,7 @@ def _complete_split(
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
-    with Progress("complete", visible=not quiet) as progress:
+    with ProgressBar("complete", visible=not quiet) as progress:
         away, damaged = predict_split(
             completer,
             dataset,
@@ -262,7 +262,7 @@ def complete_scans(
     from scenegen.view.page import page
 
     reports, completions, failed = list[Any](), list[Path](), 0
-    with Progress("complete", visible=not quiet) as progress:
+    with ProgressBar("complete", visible=not quiet) as progress:
         progress.start(count)
         for name, read in scans:
             target = out / f"{name}.h5"

@@ -28,7 +28,7 @@ from scenegen.cli.options import (
     splits_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, echo, info, plain, show_table
+from scenegen.cli.show import ProgressBar, Reporter, echo, info, plain, show_table
 from scenegen.cli.types import FILE, Named, Number
 from scenegen.convert import FORMATS, Choices
 from scenegen.logs import Fusing
@@ -86,7 +86,7 @@ def convert(
     for part in source.datasets:
         if not part.manifest.complete:
             info(f"{part.folder}: is incomplete; its samples so far are converted")
-    with Progress(to, visible=not quiet) as progress:
+    with ProgressBar(to, visible=not quiet) as progress:
         result = write(
             source,
             target,
@@ -329,7 +329,7 @@ def ingest(
     if align:
         from scenegen.logs.align import align as aligned
 
-        with Progress("align", visible=verbose) as progress:
+        with ProgressBar("align", visible=verbose) as progress:
             progress.start(len(recording.poses))
             recording = aligned(recording, how, on_done=progress.count)
     if explain:
@@ -343,7 +343,7 @@ def ingest(
         recording.check_point_times()
     if explain:
         return
-    with Progress("ingest", visible=verbose) as progress:
+    with ProgressBar("ingest", visible=verbose) as progress:
         progress.start(len(recording.poses))
         counts = write(recording, target, how, on_done=progress.count)
     if report_result({"folder": str(target), "read": dict(recording.about), **counts}):

@@ -33,7 +33,7 @@ from scenegen.cli.options import (
     together,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, announce_compilation, echo, show_table
+from scenegen.cli.show import ProgressBar, Reporter, announce_compilation, echo, show_table
 from scenegen.cli.types import FILE, Choice, Named, Number, OutputFile
 from scenegen.fly import SUITES, TRACKS, Rules, Vehicle
 from scenegen.logs import check_log
@@ -311,7 +311,7 @@ def _fly(
 
         # a map has no solids to draw: refused before the flights
         solid(first.drawn, first.world)
-    with Progress("fly", visible=verbose) as progress:
+    with ProgressBar("fly", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_courses(courses, work, name, suite, out, crew, track=track, network=network)
     # without a bar, for the difficulties of courses in --json
@@ -409,7 +409,7 @@ def replay(
     pilot, _, work = _begin(robot_settings, hidden, drawing["log"], execute, verbose)
     recording, notes = open_recording(path, hidden, maps)
     name, differing, filmed = recording.robot, list["Flown"](), None
-    with Progress("replay", visible=verbose) as progress:
+    with ProgressBar("replay", visible=verbose) as progress:
         crew = crew_of(execute, on_start=progress.start, on_done=progress.count)
         flown = fly_again(path, recording, hidden, crew)
         notes["as recorded, to the bit"] = f"{sum(len(flights) for _, flights in flown)} flights"
@@ -509,10 +509,10 @@ def _show(
         finally:
             getattr(robot, "close", lambda: None)()  # a robot of another process has one
     if log is not None:
-        from scenegen.fly.course import log_of
+        from scenegen.fly.course import flight_log
         from scenegen.logs.record import write_log
 
-        write_log(log, log_of(course, 0, ways[0]))
+        write_log(log, flight_log(course, 0, ways[0]))
     flights = [flight for _, several in flown for flight in several]
     row = {**summary(name, flights), **notes}
     # a function, since grading courses takes time, and only --json shows it

@@ -31,7 +31,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import (
-    Progress,
+    ProgressBar,
     Reporter,
     announce_compilation,
     echo,
@@ -49,7 +49,7 @@ from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
     from scenegen.dataset.build import Summary
-    from scenegen.dataset.generation import Plans
+    from scenegen.dataset.generation import GenerationPlan
     from scenegen.dataset.shard import ShardReport
 
 KIND = Named(
@@ -208,7 +208,7 @@ def generate(
     )
 
 
-def _show_plans(plans: "Plans", report_result: Reporter) -> None:
+def _show_plans(plans: "GenerationPlan", report_result: Reporter) -> None:
     """Print the plans, and each as a recipe file."""
     rows = {
         "folder": str(plans.folder),
@@ -233,7 +233,7 @@ def _show_plans(plans: "Plans", report_result: Reporter) -> None:
 
 
 def make(
-    plans: "Plans",
+    plans: "GenerationPlan",
     *,
     workers: int,
     on: str,
@@ -256,10 +256,11 @@ def make(
     from scenegen.base.executors import executor
     from scenegen.dataset.build import build
 
-    plans.open(force=force)  # refuses folders of something else before any of them is written
+    # refuses folders of something else before any of them is written
+    plans.claim_folder(force=force)
     summaries = []
     for plan in plans.datasets:
-        with Progress(plan.name, visible=verbose) as progress:
+        with ProgressBar(plan.name, visible=verbose) as progress:
             summary = build(
                 plan,
                 execute=executor(on, workers),
@@ -283,7 +284,7 @@ def make(
             show_table({"collection": plans.folder, "time": f"{seconds:.1f} s"})
 
 
-def _count(progress: Progress, report: "ShardReport", fresh: bool) -> None:
+def _count(progress: ProgressBar, report: "ShardReport", fresh: bool) -> None:
     """Count the samples of a shard that exists, whether this run or an earlier one wrote it."""
     progress.count(report.entry.samples)
 

@@ -26,7 +26,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import (
-    Progress,
+    ProgressBar,
     echo,
     info,
     per_split,
@@ -108,7 +108,7 @@ def inspect(
             show_table(plain(facts))
         return
     opened = open_dataset(dataset, show_progress=not as_json)
-    with Progress("inspect", visible=(measure_all or keep) and not as_json) as progress:
+    with ProgressBar("inspect", visible=(measure_all or keep) and not as_json) as progress:
         summary = examine(
             opened,
             most=None if measure_all else MAX_MEASURED,

@@ -16,7 +16,7 @@ from scenegen.cli.options import (
     printing,
 )
 from scenegen.cli.show import (
-    Progress,
+    ProgressBar,
     Reporter,
     announce_compilation,
     info,
@@ -95,7 +95,7 @@ def publish(
         licence=licence,
         kind=kind,
     )
-    with Progress("verify", visible=verbose) as progress:
+    with ProgressBar("verify", visible=verbose) as progress:
 
         def report(staged: Any) -> None:
             progress.stop()  # the Hub's client has its own bar

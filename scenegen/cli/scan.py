@@ -27,7 +27,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, echo, flat, info, show_columns, show_table
+from scenegen.cli.show import ProgressBar, Reporter, echo, flat, info, show_columns, show_table
 from scenegen.cli.types import FILE, Choice, Named, Numbers, OutputFile
 from scenegen.convert import Choices
 from scenegen.logs import Cruise, check_log
@@ -143,9 +143,9 @@ def sensors(
         if fit is not None:
             write_result(fit, unit.encode())
     if out is not None:
-        from scenegen.view.stills import draw_patterns, draw_unit, to_bytes
+        from scenegen.view.stills import draw_patterns, draw_sensor_unit, to_bytes
 
-        figure = draw_unit(unit) if unit else draw_patterns(chosen)
+        figure = draw_sensor_unit(unit) if unit else draw_patterns(chosen)
         write_result(out, to_bytes(figure, ".png"))
     if as_json:
         print(json.dumps(rows))
@@ -329,7 +329,7 @@ def _write_log(
         moving=moving,
         corrected=corrected,
     )
-    with Progress("scan", visible=verbose) as progress:
+    with ProgressBar("scan", visible=verbose) as progress:
         progress.start(len(poses))
         counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))

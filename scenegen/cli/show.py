@@ -175,7 +175,7 @@ def announce_compilation() -> None:
         info("compiling kernels: once on this machine, 6 to 15 seconds …")
 
 
-class Progress:
+class ProgressBar:
     """A progress bar with rate and time left. It runs a thread, so start it after workers are
     forked."""
 
@@ -190,7 +190,7 @@ class Progress:
         self._bar: Any = None
         self._begun = ExitStack()
 
-    def __enter__(self) -> "Progress":
+    def __enter__(self) -> "ProgressBar":
         # a stop ends the process in its signal handler, where `__exit__` does not run
         self._begun.enter_context(undone_if_stopped(self._leave))
         self._begun.callback(self.stop)

@@ -18,7 +18,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Reporter, per_split, show_table
 from scenegen.cli.types import Written, read_ranges
-from scenegen.dataset.selection import MEASURES, NUMBERS, Choice, Condition
+from scenegen.dataset.selection import MEASURES, NUMBERS, Condition, SelectionCriteria
 
 
 @command(
@@ -81,18 +81,18 @@ def take(
 
     # in the usual order, however they were given
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
-    choice = Choice(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
+    criteria = SelectionCriteria(splits=chosen, most=count, kinds=kinds, worlds=worlds, where=where)
     # of an incomplete dataset, later samples would be missing without a word
     source = open_dataset(dataset, show_progress=verbose, partial=False)
-    numbers = choose(source, choice, workers=workers)
+    numbers = choose(source, criteria, workers=workers)
     counts = {split: len(of_split) for split, of_split in numbers.items()}
     if not sum(counts.values()):
         hint = f"; its kinds are {', '.join(source.kind.split('+'))}" if kinds else ""
         raise DatasetError(
-            f"{source.name}: no sample fulfils the conditions ({str(choice) or 'any'}); change them"
-            f"{hint}"
+            f"{source.name}: no sample fulfils the conditions ({str(criteria) or 'any'}); change "
+            f"them{hint}"
         )
     # paths in the file are relative to its own folder
-    write_result(out, encode_selection(source, numbers, choice, out.parent))
+    write_result(out, encode_selection(source, numbers, criteria, out.parent))
     if report_result({"selection": str(out), "samples": counts}):
         show_table({"selection": out, "samples": per_split(counts)})

@@ -25,7 +25,7 @@ from scenegen.cli.options import (
     printing,
     was_given,
 )
-from scenegen.cli.show import Progress, Reporter, curve, echo
+from scenegen.cli.show import ProgressBar, Reporter, curve, echo
 from scenegen.cli.types import Choice, DatasetPath, Named
 from scenegen.model.config import (
     INPUTS,
@@ -268,7 +268,7 @@ def train(
     out = out or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
-    with Progress(config.network.variant, visible=verbose) as progress, stops.noted() as stop:
+    with ProgressBar(config.network.variant, visible=verbose) as progress, stops.noted() as stop:
         training, validation = _samples(datasets, streams, stream_seed, val_maps, verbose)
         chosen = choose_device(device)
         if workers is None:
@@ -375,7 +375,7 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
 class _Display:
     """Progress of a run: the mean loss of the last steps, rate, time left, and a line per epoch."""
 
-    def __init__(self, variant: str, progress: Progress, verbose: bool):
+    def __init__(self, variant: str, progress: ProgressBar, verbose: bool):
         self._variant, self._progress, self._talk = variant, progress, verbose
         self._recent, self._iou, self.begun = 0.0, "", False
 

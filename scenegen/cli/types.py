@@ -125,14 +125,14 @@ class DatasetPath(Written, click.Path):
 
     def read(self, text: str) -> Path | str:
         """Return a path, or a name with a scheme. Raises ValueError if that is malformed."""
-        from scenegen.base.stores import place_of
+        from scenegen.base.stores import location_of
         from scenegen.dataset.locate import SCHEME, parse
 
         if text.startswith(SCHEME):
             parse(text)
             return text
-        place = place_of(text)
-        return place if isinstance(place, Path) else text
+        location = location_of(text)
+        return location if isinstance(location, Path) else text
 
 
 class OutputFolder(Written, click.Path):
@@ -148,13 +148,13 @@ class OutputFolder(Written, click.Path):
         Raises:
             ValueError: Nothing can be written to a name with this scheme.
         """
-        from scenegen.base.stores import WRITTEN, is_remote, place_of
+        from scenegen.base.stores import WRITTEN, is_remote, location_of
 
         scheme = text.partition("://")[0]
         if is_remote(text) and not (self.stores and scheme == WRITTEN):
             hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
             raise ValueError(f"{scheme}://… is not written to; give a folder{hint}")
-        return place_of(text)
+        return location_of(text)
 
 
 class OutputFile(OutputFolder):

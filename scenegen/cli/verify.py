@@ -16,7 +16,7 @@ from scenegen.cli.options import (
     seed_option,
 )
 from scenegen.cli.show import (
-    Progress,
+    ProgressBar,
     Reporter,
     announce_compilation,
     echo,
@@ -60,7 +60,7 @@ def verify(dataset: Path | str, report_result: Reporter, verbose: bool, **option
     from scenegen.verification import verify as prove
 
     begin = time.perf_counter()
-    with Progress("verify", visible=verbose) as progress:
+    with ProgressBar("verify", visible=verbose) as progress:
         report = prove(dataset, on_start=progress.start, on_done=progress.count, **options)
     seconds = time.perf_counter() - begin
     if report_result({**report.to_json(), "seconds": seconds}):

@@ -14,7 +14,7 @@ from scenegen.base.executors import Counted, Executor, chunked, counted, unheard
 from scenegen.base.files import claim, make_parent, remove_temp_files, write_atomic
 from scenegen.base.workers import ALONE
 from scenegen.convert import FORMATS, Choices
-from scenegen.convert.formats import FUTURE_S, Classed, OneEach
+from scenegen.convert.formats import FUTURE_S, OneEach, SemanticFormat
 from scenegen.dataset.read import AnyDataset, Rows
 from scenegen.draw.sample import Sample
 
@@ -130,7 +130,7 @@ def convert(
     # in the order of samples, however workers finished
     lines = tuple(line for rows in tasks for line in broken[rows])
     remaining = sum(len(rows.numbers) for rows in whole) - total
-    notes = form.notes() if isinstance(form, Classed) else []
+    notes = form.notes() if isinstance(form, SemanticFormat) else []
     return Converted(total - existing - len(lines), existing, remaining, lines, tuple(notes))
 
 

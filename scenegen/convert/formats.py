@@ -97,7 +97,7 @@ class OneEach:
         return (self.place.format(split=split, number=number) + self.suffix,)
 
 
-class Classed(OneEach):
+class SemanticFormat(OneEach):
     """A format with a number for each class of voxels."""
 
     numbers: Mapping[str, int]
@@ -170,7 +170,7 @@ class Pcd(Ply):
 class Npz(OneEach):
     """Every field of the sample under its name, the returns as `points`, the grid's `voxel_m`, and
     names of `classes` if there are labels; compressed. With `Choices.future` also `flow`,
-    `occupancy+0.5` …, see `scenegen.draw.movers.Motion`."""
+    `occupancy+0.5` …, see `scenegen.draw.movers.SampleMotion`."""
 
     suffix = ".npz"
 
@@ -229,7 +229,7 @@ SEQUENCES = {"train": (*range(8), 9, 10), "val": (8,), "test": range(11, 22)}
 """Sequences of each split in SemanticKITTI."""
 
 
-class SemanticKitti(Classed):
+class SemanticKitti(SemanticFormat):
     """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
 
     ``sequences/07/voxels/000007.bin`` has the observed voxels, ``.label`` the ground truth,
@@ -277,7 +277,7 @@ class SemanticKitti(Classed):
         return bits, labels.tobytes(), *masks
 
 
-class Occ3d(Classed):
+class Occ3d(SemanticFormat):
     """Occ3D-nuScenes' labels (tsinghua-mars-lab.github.io/Occ3D), for programs that read its task
     of occupancy prediction.
 

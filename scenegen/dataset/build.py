@@ -15,7 +15,7 @@ from scenegen.base.errors import CorruptFileError, DatasetError, check_int, rera
 from scenegen.base.executors import Counted, Executor, software, undone, unheard
 from scenegen.base.files import writable
 from scenegen.base.limits import MAX_SAMPLES_IN_SHARD, MAX_SEED, MAX_SHARDS, USUAL_IN_SHARD
-from scenegen.base.stores import Place
+from scenegen.base.stores import Location
 from scenegen.base.workers import Local
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
@@ -24,7 +24,7 @@ from scenegen.dataset.parameters import mapping_entry, noise_entry, plain, senso
 from scenegen.dataset.placed import write_shard
 from scenegen.dataset.schema import RecipeEntry, SceneEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, find_engine
-from scenegen.dataset.state import Plan, State
+from scenegen.dataset.state import DatasetPlan, State
 from scenegen.draw.source import Source
 from scenegen.worlds.recipe import Recipe
 
@@ -38,7 +38,7 @@ class Summary:
     """Result of a run. A job that writes a part of the shards does not examine the others until all
     exist."""
 
-    folder: Place
+    folder: Location
     complete: bool
     samples: dict[str, int]
     worlds: dict[str, int]
@@ -51,7 +51,7 @@ class Summary:
 
 
 def plan_dataset(
-    folder: Place,
+    folder: Location,
     recipe: Recipe,
     source: Source,
     *,
@@ -63,7 +63,7 @@ def plan_dataset(
     tables: RecipeEntry | None = None,
     like: str | None = None,
     shard_type: type[ShardSpec] = ShardSpec,
-) -> Plan:
+) -> DatasetPlan:
     """Divide samples into shards of whole units.
 
     Args:
@@ -144,7 +144,7 @@ def plan_dataset(
                     engine=engine,
                 )
             )
-    return Plan(folder=folder, manifest=planned, shards=tuple(shards))
+    return DatasetPlan(folder=folder, manifest=planned, shards=tuple(shards))
 
 
 def recipe_entry(recipe: Recipe) -> RecipeEntry:
@@ -171,7 +171,7 @@ def recipe_entry(recipe: Recipe) -> RecipeEntry:
 
 
 def build(
-    plan: Plan,
+    plan: DatasetPlan,
     *,
     workers: int = 1,
     execute: Executor | None = None,
@@ -237,7 +237,7 @@ def build(
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _check_space(plan: Plan, missing: list[ShardSpec]) -> None:
+def _check_space(plan: DatasetPlan, missing: list[ShardSpec]) -> None:
     """Check that the disk can hold the missing shards. Stores do not report their free space."""
     if not missing or not isinstance(plan.folder, Path):
         return

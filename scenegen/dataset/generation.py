@@ -21,27 +21,27 @@ from scenegen.base.errors import (
 )
 from scenegen.base.files import Json, disk_errors
 from scenegen.base.limits import MAX_SAMPLES
-from scenegen.base.stores import Place, Store, place_of
+from scenegen.base.stores import Location, Store, location_of
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.collection import COLLECTION, members_of, open_data, write_collection
 from scenegen.dataset.like import plan_like
 from scenegen.dataset.read import AnyDataset
-from scenegen.dataset.state import Plan
+from scenegen.dataset.state import DatasetPlan
 from scenegen.draw.mixture import MIXED, Component, is_mixed, read_components, seeds, shares
 from scenegen.draw.parts import resolved
 from scenegen.draw.source import DrawnWorlds, SceneWorlds, Source, read_scenes
-from scenegen.worlds.flight import Flight
+from scenegen.worlds.flight import FlightConfig
 from scenegen.worlds.kinds import graded
 from scenegen.worlds.recipe import Recipe, preset, read_recipe
 from scenegen.worlds.tables import field_names, named_lidar, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plans:
+class GenerationPlan:
     """Datasets to make: one, or several of a collection."""
 
-    folder: Place
-    datasets: tuple[Plan, ...]
+    folder: Location
+    datasets: tuple[DatasetPlan, ...]
     """One dataset, or several in subfolders of `folder`."""
 
     @property
@@ -49,8 +49,8 @@ class Plans:
         """Whether there are several datasets in subfolders of `folder`."""
         return self.datasets[0].folder != self.folder
 
-    def open(self, *, force: bool = False) -> None:
-        """List the datasets in the folder of a collection.
+    def claim_folder(self, *, force: bool = False) -> None:
+        """List the datasets in the folder of a collection, unless it holds something else.
 
         Args:
             force: Whether another collection is replaced.
@@ -115,7 +115,7 @@ def generate(
     """
     plans = plan_generation(kind, n, out=out, **options)
     # listed first, so that readers know a collection as incomplete if the run is stopped
-    plans.open(force=force)
+    plans.claim_folder(force=force)
     for plan in plans.datasets:
         build(plan, workers=workers, force=force)
     return open_data(str(plans.folder))
@@ -127,7 +127,7 @@ def plan_generation(
     *,
     val: int | None = None,
     test: int | None = None,
-    out: str | Place | None = None,
+    out: str | Location | None = None,
     scene: str | Path | None = None,
     recipe: str | Path | Recipe | None = None,
     like: str | Path | None = None,
@@ -142,7 +142,7 @@ def plan_generation(
     compact: bool = False,
     shard_samples: int | None = None,
     **parts: Any,
-) -> Plans:
+) -> GenerationPlan:
     """Plan the dataset, or datasets, that the options describe. Nothing is written.
 
     Args:
@@ -268,7 +268,7 @@ def plan_generation(
         settled: Collection[str] = ()
         if isinstance(recipe, Recipe):
             # what the user settled is kept: all of a whole Recipe, of a file what it names
-            settled = field_names(Flight)
+            settled = field_names(FlightConfig)
         elif recipe_file is not None:
             settled = read_toml(recipe_file).get("flight", ())
         source, base_recipe = source.suited(base_recipe, settled)
@@ -284,19 +284,19 @@ def plan_generation(
     counts = _counts(number, val, test, single_world=single_world)
     folder = _folder(out, name)
     plan = plan_dataset(folder, base_recipe, source, seed=seed, counts=counts, **storage)
-    return Plans(folder=folder, datasets=(plan,))
+    return GenerationPlan(folder=folder, datasets=(plan,))
 
 
 def _plan_like(
     like: str | Path,
-    out: str | Place | None,
+    out: str | Location | None,
     kind: str | None,
     sensing: Json,
     engine: str | None,
     counts: Mapping[str, int] | None,
     *,
     compact: bool,
-) -> Plans:
+) -> GenerationPlan:
     """Plan a dataset like another one; see `plan_generation`."""
     if out is None:
         raise UsageError("a dataset like another one needs a folder of its own; give --out")
@@ -317,7 +317,7 @@ def _plan_like(
         engine=engine,
         **changes,
     )
-    return Plans(folder=folder, datasets=(plan,))
+    return GenerationPlan(folder=folder, datasets=(plan,))
 
 
 def _counts(n: int, val: int | None, test: int | None, *, single_world: bool) -> dict[str, int]:
@@ -358,20 +358,20 @@ def with_parts(recipe: Recipe, parts: Mapping[str, Any], source: Source) -> Reci
         return replace(recipe, parts={**recipe.parts, **chosen})
 
 
-def _folder(out: str | Place | None, name: str) -> Place:
+def _folder(out: str | Location | None, name: str) -> Location:
     if out is None:
         return Path("data", name)
-    return place_of(out) if isinstance(out, str) else out
+    return location_of(out) if isinstance(out, str) else out
 
 
 def plan_mixed(
-    folder: Place,
+    folder: Location,
     components: Sequence[Component],
     *,
     counts: Mapping[str, int],
     seed: int,
     **options: Any,
-) -> Plans:
+) -> GenerationPlan:
     """Divide samples among the components of a mixture. Each becomes a dataset in its own
     subfolder.
 
@@ -421,7 +421,7 @@ def plan_mixed(
                 **options,
             )
             plans.append(plan)
-    return Plans(folder=folder, datasets=tuple(plans))
+    return GenerationPlan(folder=folder, datasets=tuple(plans))
 
 
 def folder_names(kinds: Sequence[str]) -> list[str]:

@@ -19,7 +19,7 @@ from scenegen import GENERATOR, __version__
 from scenegen.base.errors import CorruptFileError, DatasetError, GenerationError, reraise_as
 from scenegen.base.files import Json, real_path
 from scenegen.base.paths import check_type, type_of
-from scenegen.base.stores import Place
+from scenegen.base.stores import Location
 from scenegen.dataset import manifest
 from scenegen.dataset.build import plan_dataset, recipe_entry
 from scenegen.dataset.locate import locate
@@ -28,12 +28,12 @@ from scenegen.dataset.parameters import differences
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.schema import NAME, to_json
 from scenegen.dataset.shard import ShardSpec, find_engine
-from scenegen.dataset.state import Plan
+from scenegen.dataset.state import DatasetPlan
 from scenegen.draw.draw import (
     FLIGHT,
     Unit,
     UnitKey,
-    View,
+    ViewpointData,
     none_rejected,
     samples_of,
     scans_from,
@@ -42,7 +42,7 @@ from scenegen.draw.draw import (
     truth_of,
 )
 from scenegen.draw.source import DrawnWorlds, Source
-from scenegen.worlds.flight import Sees, fly, viewpoints
+from scenegen.worlds.flight import Sees, plan_flight, viewpoints
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.world import AnyWorld
 
@@ -71,7 +71,7 @@ def fly_again(
         # the random numbers of `draw_unit`, which give the same flights
         rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
-            path = fly(world, recipe.flight, rng=rng, sees=sees)
+            path = plan_flight(world, recipe.flight, rng=rng, sees=sees)
             if path is None:
                 continue
             route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
@@ -123,7 +123,7 @@ def scan_again(
     for before, times_s in zip(poses, times, strict=True):
         scans = scans_from(before, times_s, world, engine, recipe)
         truth = truth_of(world, scans[0], recipe, float(times_s[0]))
-        views.append(View(scans, times_s, truth))
+        views.append(ViewpointData(scans, times_s, truth))
     samples = samples_of(views, recipe, world, engine, key, names, derived)
     return Unit(names[0], world, samples, none_rejected())
 
@@ -211,7 +211,7 @@ class ScanAgain(ShardSpec):
 
 def plan_like(
     name: str | Path,
-    folder: Place,
+    folder: Location,
     *,
     kind: str | None = None,
     lidar: Sensor | None = None,
@@ -219,7 +219,7 @@ def plan_like(
     mapping: Mapping[str, Any] | None = None,
     engine: str | None = None,
     **options: Any,
-) -> Plan:
+) -> DatasetPlan:
     """Plan a dataset like another one. Settings that are not given are copied.
 
     Without changes, drawn worlds are drawn again by recipe and seed: the samples are the same, bit

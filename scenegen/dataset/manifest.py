@@ -40,7 +40,7 @@ from scenegen.base.limits import (
     MAX_VOXELS,
 )
 from scenegen.base.reading import sha256_of
-from scenegen.base.stores import ConflictError, Place, Store, read_at
+from scenegen.base.stores import ConflictError, Location, Store, read_at
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.parameters import (
     check_sensor_entry,
@@ -323,7 +323,7 @@ def encode(manifest: Document) -> bytes:
     return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
 
 
-def write(folder: Place, manifest: Manifest) -> None:
+def write(folder: Location, manifest: Manifest) -> None:
     """Replace the manifest of a folder; at a store, the version that was read last.
 
     If another run replaced it meanwhile, a complete manifest stays, and an incomplete one is
@@ -451,7 +451,7 @@ def load(folder: Path, name: str = "") -> Manifest:
         raise DatasetError(f"{path} {error}") from None
 
 
-def read_content(folder: Place, name: str = "") -> bytes:
+def read_content(folder: Location, name: str = "") -> bytes:
     """Read the bytes of a folder's manifest.
 
     Args:

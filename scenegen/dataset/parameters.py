@@ -29,7 +29,7 @@ from scenegen.base.errors import (
 )
 from scenegen.base.files import Json
 from scenegen.base.reading import read_bounded, sha256_of
-from scenegen.base.stores import Place, create_at, read_at
+from scenegen.base.stores import Location, create_at, read_at
 from scenegen.dataset.schema import NoiseEntry, RecipeEntry
 from scenegen.worlds.mapping import Mapper
 
@@ -195,21 +195,21 @@ def sensor_of(entry: Json, folder: Path) -> Sensor:
         raise CorruptFileError(f"{RAYS}: {printable(error)[:200]}") from None
 
 
-def write_rays(sensor: Sensor, place: Place) -> None:
+def write_rays(sensor: Sensor, location: Location) -> None:
     """Write the table of a sensor's rays, unless it is there. A raster has none.
 
     Args:
         sensor: The sensor.
-        place: Location of the dataset.
+        location: Location of the dataset.
     """
     if isinstance(sensor, Lidar):
         return
     content = BeamTable.of(sensor).npy
     with suppress(FileNotFoundError, DatasetError):
         # a second run must not touch the file
-        if read_at(place, RAYS, len(content)) == content:
+        if read_at(location, RAYS, len(content)) == content:
             return
-    create_at(place, RAYS, content)
+    create_at(location, RAYS, content)
 
 
 def recipe_text(recipe: RecipeEntry, title: str) -> str:

@@ -13,7 +13,7 @@ from scenegen.base.errors import DatasetError
 from scenegen.base.files import write_atomic
 from scenegen.base.limits import MAX_MANIFEST_BYTES, MAX_SAMPLES_IN_SHARD
 from scenegen.base.reading import read_bounded, sha256_of
-from scenegen.base.stores import Place, Store
+from scenegen.base.stores import Location, Store
 from scenegen.dataset.schema import ShardEntry
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report, report_of
 
@@ -92,11 +92,11 @@ class PlacedReport(msgspec.Struct, forbid_unknown_fields=True):
     """SHA-256 of the samples, in hexadecimal."""
 
 
-def write_shard(place: Place, task: ShardSpec) -> ShardReport:
+def write_shard(location: Location, task: ShardSpec) -> ShardReport:
     """Write a shard; at a store, also a report.
 
     Args:
-        place: Location of the dataset.
+        location: Location of the dataset.
         task: The shard.
 
     Raises:
@@ -104,24 +104,24 @@ def write_shard(place: Place, task: ShardSpec) -> ShardReport:
         DatasetError: if the folder cannot be written.
         StoreError: if the store cannot be written.
     """
-    report = task.write(place)
-    if isinstance(place, Store):
+    report = task.write(location)
+    if isinstance(location, Store):
         # last, so that no report tells of objects that are not there
-        _put_report(place, task, report)
+        _put_report(location, task, report)
     return report
 
 
-def report_at(place: Place, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
+def report_at(location: Location, task: tuple[ShardSpec, ShardEntry | None]) -> ShardReport | None:
     """Read the report of a shard; see `read_report`. Files at a store are fetched.
 
     Args:
-        place: Location of the dataset.
+        location: Location of the dataset.
         task: The shard, and its entry in the manifest, if it has one.
 
     Returns:
         The report; None if there is no such shard, or it is damaged.
     """
-    with _at_hand(place, task[0]) as folder:
+    with _at_hand(location, task[0]) as folder:
         return read_report(folder, task)
 
 
@@ -164,17 +164,17 @@ def find_reports(
 
 
 @contextmanager
-def _at_hand(place: Place, task: ShardSpec) -> Iterator[Path]:
+def _at_hand(location: Location, task: ShardSpec) -> Iterator[Path]:
     """Give a local folder with the files of a shard, as far as they exist."""
-    if isinstance(place, Path):
-        yield place
+    if isinstance(location, Path):
+        yield location
         return
     with TemporaryDirectory(prefix="scenegen-") as name:
         folder = Path(name)
         (folder / task.file).parent.mkdir(exist_ok=True)
         with suppress(FileNotFoundError):
             for file in (task.file, task.worlds):
-                place.fetch(file, folder / file)
+                location.fetch(file, folder / file)
         yield folder
 
 

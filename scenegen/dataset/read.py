@@ -28,7 +28,7 @@ from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.manifest import Manifest
 from scenegen.dataset.schema import ShardEntry
-from scenegen.draw.sample import Sample, Samples, Schema, html_table
+from scenegen.draw.sample import Sample, SampleSequence, Schema, html_table
 from scenegen.worlds.mapping import Sensing
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Piece:
         """Row in the shard of the sample at a position in this piece."""
         return position if self.rows is None else int(self.rows[position])
 
-    def names(self) -> Ints:
+    def numbers(self) -> Ints:
         """World and viewpoint numbers of its samples, (2, N). Raises CorruptFileError."""
         manifest, split = self.dataset.manifest, self.entry.split
         rows = np.arange(self.entry.samples) if self.rows is None else self.rows
@@ -305,7 +305,7 @@ class Dataset(AnyDataset):
         return file
 
 
-class Split(Samples):
+class Split(SampleSequence):
     """Samples of one split, in order. Files are opened on first access, again in every process."""
 
     def __init__(self, dataset: AnyDataset, name: str, pieces: Sequence[Piece]):
@@ -420,16 +420,16 @@ class Split(Samples):
                 pieces.append(Piece(piece.dataset, piece.entry, rows, first_world))
         return pieces
 
-    def list_dir(self, number: int) -> Ints:
+    def piece_numbers(self, number: int) -> Ints:
         """World and viewpoint numbers of a piece's samples, (2, N). Raises DatasetError."""
         with advised(self.pieces[number].dataset.folder):
-            return self.pieces[number].names()
+            return self.pieces[number].numbers()
 
     @cached_property
     def numbers(self) -> Ints:
         """World and viewpoint numbers of all samples, (2, N). Raises DatasetError."""
-        names = map(self.list_dir, range(len(self.pieces)))
-        return np.concatenate([np.empty((2, 0), np.int64), *names], axis=1)
+        numbers = map(self.piece_numbers, range(len(self.pieces)))
+        return np.concatenate([np.empty((2, 0), np.int64), *numbers], axis=1)
 
     def count_worlds(self) -> int:
         """Number of different worlds of its samples."""

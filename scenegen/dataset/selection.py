@@ -215,7 +215,7 @@ class Condition:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class SelectionCriteria:
     """Which samples to select."""
 
     splits: tuple[str, ...] = SPLITS
@@ -229,7 +229,7 @@ class Choice:
     where: tuple[Condition, ...] = ()
 
     def __str__(self) -> str:
-        """The choice as options of the command line, which a selection's file records."""
+        """The criteria as options of the command line, which a selection's file records."""
         words = [f"--split {split}" for split in self.splits if self.splits != SPLITS]
         words += [] if self.most is None else [f"--n {self.most}"]
         words += [f"--kind {kind}" for kind in self.kinds]
@@ -237,12 +237,14 @@ class Choice:
         return " ".join([*words, *(f"--where {condition}" for condition in self.where)])
 
 
-def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str, Ints]:
+def choose(
+    dataset: AnyDataset, criteria: SelectionCriteria, *, workers: int = 1
+) -> dict[str, Ints]:
     """Select samples. They are read only for conditions on measures that are not stored.
 
     Args:
         dataset: The dataset.
-        choice: Which samples.
+        criteria: Which samples.
         workers: Number of processes that measure samples.
 
     Returns:
@@ -251,7 +253,7 @@ def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str
     Raises:
         DatasetError: if stored measures are wrong, or those of whole worlds are not stored.
     """
-    conditions = tuple(condition for condition in choice.where if condition.name not in NUMBERS)
+    conditions = tuple(condition for condition in criteria.where if condition.name not in NUMBERS)
     stored = kept_measures(dataset) if conditions else {}
     # means over worlds need all samples, so they are not measured on the fly
     world_measures = [condition.name for condition in conditions if condition.name not in MEASURES]
@@ -263,33 +265,33 @@ def choose(dataset: AnyDataset, choice: Choice, *, workers: int = 1) -> dict[str
             f"these first: {'; '.join(commands)}"
         )
     numbers = {}
-    for name in (name for name in SPLITS if name in choice.splits):
+    for name in (name for name in SPLITS if name in criteria.splits):
         split = dataset.split(name)
-        candidates = _by_number(split, choice)
+        candidates = _by_number(split, criteria)
         if stored:
             for condition in conditions:
                 values = measure_of(split, stored[name], condition.name)
                 candidates = candidates[condition.holds(values[candidates])]
         elif conditions:
-            candidates = _by_measuring(split, conditions, candidates, choice.most, workers)
-        numbers[name] = candidates[: choice.most]
+            candidates = _by_measuring(split, conditions, candidates, criteria.most, workers)
+        numbers[name] = candidates[: criteria.most]
     return numbers
 
 
-def _by_number(split: Split, choice: Choice) -> Ints:
+def _by_number(split: Split, criteria: SelectionCriteria) -> Ints:
     """Samples that satisfy all conditions that are known without reading them."""
     world, viewpoint = split.numbers
     values = {"sample": np.arange(len(split)), "world": world, "viewpoint": viewpoint}
     mask = np.ones(len(split), bool)
-    if choice.kinds:
+    if criteria.kinds:
         mask[:] = False
         for number, piece in enumerate(split.pieces):
-            if not _kind_names(piece.dataset.manifest).isdisjoint(choice.kinds):
+            if not _kind_names(piece.dataset.manifest).isdisjoint(criteria.kinds):
                 mask[split.first(number) :][: len(piece)] = True
-    if choice.worlds:
-        ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
+    if criteria.worlds:
+        ranges = [(world >= first) & (world < stop) for first, stop in criteria.worlds]
         mask &= np.any(ranges, axis=0)
-    for condition in choice.where:
+    for condition in criteria.where:
         if condition.name in values:
             mask &= condition.holds(values[condition.name])
     return np.flatnonzero(mask)
@@ -350,14 +352,14 @@ def measure_of(split: Split, table: Floats, name: str) -> Floats:
 
 
 def encode_selection(
-    dataset: AnyDataset, numbers: Mapping[str, Ints], choice: Choice, folder: Path
+    dataset: AnyDataset, numbers: Mapping[str, Ints], criteria: SelectionCriteria, folder: Path
 ) -> bytes:
     """Encode a selection's file.
 
     Args:
         dataset: The dataset.
         numbers: Selected sample numbers of each split.
-        choice: How they were selected.
+        criteria: How they were selected.
         folder: Folder of the file, from which paths are relative.
     """
     chosen: dict[Path, dict[str, list[int]]] = {member.folder: {} for member in dataset.datasets}
@@ -374,5 +376,5 @@ def encode_selection(
         for member in dataset.datasets
         if chosen[member.folder]
     ]
-    document = msgspec.to_builtins(SelectionFile(chosen_by=str(choice), datasets=datasets))
+    document = msgspec.to_builtins(SelectionFile(chosen_by=str(criteria), datasets=datasets))
     return (json.dumps(document) + "\n").encode()

@@ -21,7 +21,7 @@ from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.base.errors import CorruptFileError, DatasetError, reraise_as
 from scenegen.base.reading import sha256_in, sha256_of
-from scenegen.base.stores import Place, create_at
+from scenegen.base.stores import Location, create_at
 from scenegen.base.workers import Worker
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.schema import ShardEntry, stem_of
@@ -127,7 +127,7 @@ class ShardSpec(Units):
                 compiler.give(self.split)
             self.draw(self.first_unit)
 
-    def write(self, place: Place) -> "ShardReport":
+    def write(self, location: Location) -> "ShardReport":
         """Draw the units into memory, a few megabytes, and write the shard. Raises GenerationError,
         DatasetError and StoreError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
@@ -145,7 +145,7 @@ class ShardSpec(Units):
                     yield partial(getattr, sample), sample.sha256()
                 remaining -= len(unit.samples)
 
-        return put(place, self, drawn(), documents, rejected)
+        return put(location, self, drawn(), documents, rejected)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -162,7 +162,7 @@ class ShardReport:
 
 
 def put(
-    place: Place,
+    location: Location,
     spec: ShardSpec,
     samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
@@ -171,7 +171,7 @@ def put(
     """Write a shard. The archive is written first; the file of samples commits the shard.
 
     Args:
-        place: Location of the dataset.
+        location: Location of the dataset.
         spec: The shard.
         samples: The samples, in order. They may be drawn while they are consumed.
         documents: Files of the worlds by name. Read after the last sample.
@@ -217,8 +217,8 @@ def put(
         file.flush()
         content = file.id.get_file_image()
     # the archive first: the file of samples marks the shard as complete
-    create_at(place, spec.worlds, worlds)
-    create_at(place, spec.file, content)
+    create_at(location, spec.worlds, worlds)
+    create_at(location, spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
     return report_of(spec, sums, len(content) + len(worlds), rejected, joined_digests)
 

@@ -14,7 +14,7 @@ import msgspec
 from scenegen import SPLITS
 from scenegen.base.errors import DatasetError
 from scenegen.base.files import disk_errors, remove_temp_files
-from scenegen.base.stores import Place, Store, names_at, read_at, remove_at
+from scenegen.base.stores import Location, Store, names_at, read_at, remove_at
 from scenegen.base.workers import run
 from scenegen.dataset import manifest
 from scenegen.dataset.manifest import Manifest, total_digest
@@ -35,10 +35,10 @@ may be half."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class DatasetPlan:
     """A dataset to make: its manifest without shards, and its shards."""
 
-    folder: Place
+    folder: Location
     manifest: Manifest
     shards: tuple[ShardSpec, ...]
 
@@ -79,7 +79,7 @@ class State:
             or a manifest without shards.
     """
 
-    def __init__(self, plan: Plan, *, force: bool = False):
+    def __init__(self, plan: DatasetPlan, *, force: bool = False):
         self.plan = plan
         self.reports: dict[str, ShardReport] = {}
         """Reports of the known shards, by file."""
@@ -320,7 +320,7 @@ class State:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _former_files(folder: Place, names: Set[str]) -> list[str]:
+def _former_files(folder: Location, names: Set[str]) -> list[str]:
     """Files of the dataset whose manifest is in the folder: its table of rays, listed shards, and
     unlisted shards with its fingerprint; all shards if the manifest cannot be read.
 

@@ -25,7 +25,7 @@ from scenegen.draw.parts import PARTS
 from scenegen.draw.sample import Sample, earlier_fields
 from scenegen.draw.source import Source
 from scenegen.truth import distance_field
-from scenegen.worlds.flight import Route, fly, viewpoints
+from scenegen.worlds.flight import Route, plan_flight, viewpoints
 from scenegen.worlds.place import Place
 from scenegen.worlds.recipe import Recipe
 from scenegen.worlds.tables import named_noise
@@ -83,7 +83,7 @@ Truth = dict[str, np.ndarray]
 """Fields with the true content of a viewpoint's map, and which of it is known, by name."""
 
 
-class View(NamedTuple):
+class ViewpointData(NamedTuple):
     """Data of one viewpoint."""
 
     scans: Sequence[Scan]
@@ -242,12 +242,12 @@ def _fly(
     rejected: Rejections,
     *,
     rng: Generator,
-) -> list[View] | None:
+) -> list[ViewpointData] | None:
     """Fly through a world. Returns the views in flight order, or None, with the reason counted in
     `rejected`, if no flight is accepted."""
     flight, reason = recipe.flight, "no_flight"
     for _ in range(flight.flights_per_world):
-        path = fly(world, flight, rng=rng, sees=recipe.sees(world))
+        path = plan_flight(world, flight, rng=rng, sees=recipe.sees(world))
         if path is None:
             continue
         route, candidates = viewpoints(path, flight.spacing_m, rng=rng)
@@ -271,13 +271,13 @@ def _fly(
                     accepted.append((flown_m, *view))
             if len(accepted) == flight.viewpoints:
                 # candidates are tried in random order, and samples are numbered in flight order
-                views: list[View] = []
+                views: list[ViewpointData] = []
                 for flown_m, scan, truth in sorted(accepted, key=lambda view: view[0]):
                     # earlier scans are cast only for views that are accepted
                     before = route.before(flown_m, recipe.mapping)
                     times_s = times_of_scans(_time_s(flown_m, recipe), recipe)
                     earlier = scans_from(before, times_s[1:], world, engine, recipe)
-                    views.append(View([scan, *earlier], times_s, truth))
+                    views.append(ViewpointData([scan, *earlier], times_s, truth))
                 return views
         reason = "few_viewpoints"
     rejected["worlds"][reason] += 1
@@ -381,7 +381,7 @@ def _solids_nearby(world: AnyWorld, route: Route, candidates: Floats, recipe: Re
 
 
 def samples_of(
-    views: Sequence[View],
+    views: Sequence[ViewpointData],
     recipe: Recipe,
     world: AnyWorld,
     engine: EngineFactory,

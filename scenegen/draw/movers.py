@@ -187,7 +187,7 @@ def field_of(sample: Any, name: str) -> Any:
     return sample.motion.flow() if name == "flow" else sample.motion.moving
 
 
-class Motion:
+class SampleMotion:
     """What moves in a sample: its content at other times.
 
     Times are seconds after the sample's own, negative for earlier ones: from its earliest scan to

@@ -21,7 +21,7 @@ from scenegen.base.errors import DatasetError, lacking
 from scenegen.worlds.traffic import MAX_MOVERS, MAX_PIECES, MAX_SOLIDS
 
 if TYPE_CHECKING:
-    from scenegen.draw.movers import Motion
+    from scenegen.draw.movers import SampleMotion
     from scenegen.draw.tensors import TensorSamples
 
 
@@ -280,17 +280,17 @@ class Sample:
         return [Scan(ranges, Pose(*pose), lidar) for ranges, *pose in views]
 
     @cached_property
-    def motion(self) -> "Motion":
+    def motion(self) -> "SampleMotion":
         """What moves in the sample: occupancy, distances and velocities at other times.
 
         Raises:
             DatasetError: if it has no movers.
         """
-        from scenegen.draw.movers import Motion
+        from scenegen.draw.movers import SampleMotion
 
         if self.grid is None:
             raise DatasetError("motion needs the sample's grid, such as recipe.grid")
-        return Motion(self, grid=self.grid)
+        return SampleMotion(self, grid=self.grid)
 
     def __repr__(self) -> str:
         shares = ", ".join(
@@ -418,7 +418,7 @@ def rng_of(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-class Samples(Sequence[Sample]):
+class SampleSequence(Sequence[Sample]):
     """Samples by number: the common interface of a dataset's split and a stream."""
 
     @property

@@ -40,7 +40,15 @@ from scenegen.base.paths import CLOUDS, MAPS, MESHES
 from scenegen.base.reading import world_digest
 from scenegen.base.workers import Limited, run
 from scenegen.worlds.classes import By
-from scenegen.worlds.flight import POINTS, Flight, apart, around, fly, heights, viewpoints
+from scenegen.worlds.flight import (
+    POINTS,
+    FlightConfig,
+    apart,
+    around,
+    heights,
+    plan_flight,
+    viewpoints,
+)
 from scenegen.worlds.labels import class_names
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
@@ -319,7 +327,7 @@ SEEN_SHARE = 0.1
 """The value of `most_marked_share` that a message names admits this share of free points."""
 
 
-def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> Flight:
+def _fit(place: Place, name: str, recipe: Recipe, settled: Collection[str]) -> FlightConfig:
     """Find altitudes, radius, length and viewpoints of flights in a map, from points that are free
     and known.
 
@@ -405,7 +413,7 @@ def _most_scans(place: Place, recipe: Recipe) -> int:
     flight, known, rng = recipe.flight, recipe.known or Known(), np.random.default_rng(0)
     counts = [0] * ENOUGH
     for _ in range(FLIGHTS):
-        path = fly(place, flight, rng=rng, sees=recipe.sees(place))
+        path = plan_flight(place, flight, rng=rng, sees=recipe.sees(place))
         if path is not None:
             route, flown = viewpoints(path, flight.spacing_m, rng=rng)
             accepted = list[Floats]()

@@ -41,10 +41,10 @@ class TensorSamples(Dataset[dict[str, torch.Tensor]]):
 
 
 def tensors_of(samples: Any, fields: Sequence[str] | str | None) -> TensorSamples:
-    """Make a dataset of tensors; see `scenegen.draw.sample.Samples.torch`.
+    """Make a dataset of tensors; see `scenegen.draw.sample.SampleSequence.torch`.
 
     Args:
-        samples: The `Samples`.
+        samples: The `SampleSequence`.
         fields: Names of the fields, or None for all.
 
     Raises:

@@ -26,7 +26,7 @@ from scenegen.base.limits import MAX_MANIFEST_BYTES, MAX_SEED
 from scenegen.base.reading import read_bounded
 from scenegen.draw.source import named_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
-from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
+from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, replay_differences, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
@@ -320,7 +320,7 @@ def compared(
         simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
     # times and counts of answers are not flown again: `CLAIMED` is copied below
     again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
-    if faults := unlike(flown, again):
+    if faults := replay_differences(flown, again):
         raise DatasetError(
             f"flight {number} through {course.world}, seed {course.seed}, differs from its "
             f"recording: {faults[0]}"
@@ -350,7 +350,7 @@ def flown_again(
         simulation.step(command)
 
 
-def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
+def flight_log(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     """Make a log of a flight, with a scan for every period.
 
     Args:

@@ -221,7 +221,7 @@ def marks(
     }
 
 
-def unlike(flown: Flown, again: Flown) -> list[str]:
+def replay_differences(flown: Flown, again: Flown) -> list[str]:
     """Compare a recorded flight with its replay.
 
     Commands, digest and outcome must be equal; other machines may round sums differently.

@@ -115,7 +115,7 @@ def chosen_courses(track: str, maps: Path | None = None, *, quick: bool) -> list
 
 
 @dataclass(frozen=True)
-class Part:
+class SuiteCoverage:
     """How many courses of a suite an entry has."""
 
     track: str
@@ -133,7 +133,7 @@ class Part:
         return text if self.there == self.of else f"{text}, incomplete"
 
 
-def part_of(entry: Recording) -> Part:
+def coverage_of(entry: Recording) -> SuiteCoverage:
     """Count the courses of an entry, and check that each belongs to the entry's suite.
 
     Vehicle, rules (but for one latency) and sensor must be those of the suite, and the world's hash
@@ -155,10 +155,10 @@ def part_of(entry: Recording) -> Part:
             f"is an entry to {entry.suite}, which this version does not have; fly {SUITE}"
         )
     latency_of(entry)
-    courses = {named(course): course.document for course in frozen_courses(entry.track)}
+    courses = {entry_course(course): course.document for course in frozen_courses(entry.track)}
     left = courses.copy()  # each course counts once
     for course, _ in entry.courses:
-        document = left.pop(named(course), None)
+        document = left.pop(entry_course(course), None)
         if document is None or not course.document.startswith(document):
             raise DatasetError(
                 f"{course.world}, {course.level}, seed {course.seed}, is no course of "
@@ -166,20 +166,22 @@ def part_of(entry: Recording) -> Part:
                 "world, vehicle, sensor or rules"
             )
     some = list(courses)[::QUICK]
-    quick = {named(course) for course, _ in entry.courses} <= {*some}
-    return Part(entry.track, quick, len(entry.courses), len(some) if quick else len(courses))
+    quick = {entry_course(course) for course, _ in entry.courses} <= {*some}
+    return SuiteCoverage(
+        entry.track, quick, len(entry.courses), len(some) if quick else len(courses)
+    )
 
 
 def is_whole(entry: Recording) -> bool:
     """Whether an entry has all courses of its track, or all that `--quick` takes."""
     try:
-        part = part_of(entry)
+        part = coverage_of(entry)
     except DatasetError:
         return False
     return part.there == part.of
 
 
-def named(course: Course) -> Course:
+def entry_course(course: Course) -> Course:
     """Return a course as entries name it: a map without its folder, no hash of the world, and no
     latency, which belongs to the robot."""
     return replace(late(course, 0.0), world=Path(course.world).name, document="")

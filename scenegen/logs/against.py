@@ -67,7 +67,7 @@ MIN_CLASS = 20
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Unit:
+class SensorUnit:
     """A unit of a sensor, by its scans."""
 
     model: Spinning
@@ -183,7 +183,7 @@ class Unit:
         return "\n".join(['sensor = "spinning"', *lines]).encode()
 
 
-def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
+def measure(clouds: Sequence[Cloud], sensor: Sensor) -> SensorUnit:
     """Measure a unit by its scans.
 
     Args:
@@ -226,7 +226,7 @@ def measure(clouds: Sequence[Cloud], sensor: Sensor) -> Unit:
     modelled = angles_deg(model.directions_sensor[beams, 0])[1]
     # scans are far from each other, and three channels and some columns within 1
     places = channels + 1000.0 * scans[order], azimuth / step / HALF_COLUMNS
-    return Unit(
+    return SensorUnit(
         model=model,
         beams=beams,
         elevations_deg=elevations,
@@ -356,7 +356,7 @@ def _azimuths(
 
 
 def _planes(points: Floats, places: Floats, steps: Floats) -> Floats:
-    """Fit planes to patches of three channels, see `Unit.planes`.
+    """Fit planes to patches of three channels, see `SensorUnit.planes`.
 
     Args:
         points: (N, 3), by scan, channel and azimuth.

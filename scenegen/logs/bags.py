@@ -17,7 +17,7 @@ from lidarsim.grid import Floats
 from scenegen.base.errors import DatasetError, printable
 from scenegen.logs.frames import Links
 from scenegen.worlds.clouds import Cloud, cloud_of
-from scenegen.worlds.clouds.columns import Table, used_fields
+from scenegen.worlds.clouds.columns import CloudTable, used_fields
 
 CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -66,7 +66,7 @@ class Contents:
     """Some of the clouds, spread over the recording, by number."""
 
 
-class Recording:
+class BagReader:
     """Reader of a recording's clouds, transforms and odometry. Messages are decoded by ROS's own
     definitions, not by those in the file, which may be wrong or hostile."""
 
@@ -208,7 +208,7 @@ def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Cloud:
 def _of_rows(rows: NDArray[Any], layout: str) -> Cloud:
     """Make a cloud of a structured array (n,); `layout` names its fields, for people."""
     return cloud_of(
-        Table({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
+        CloudTable({name: rows[name] for name in used_fields(rows.dtype.names or ())}, layout)
     )
 
 

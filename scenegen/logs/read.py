@@ -14,7 +14,7 @@ from lidarsim.grid import Floats
 from lidarsim.pose import chained
 from scenegen.base.errors import DatasetError, reraise_as
 from scenegen.base.paths import RECORDINGS, kitti_poses, recordings_in
-from scenegen.logs.bags import Contents, Reader, Recording
+from scenegen.logs.bags import BagReader, Contents, Reader
 from scenegen.logs.frames import pose_at
 from scenegen.logs.log import Log, make_log, span
 from scenegen.worlds.clouds import KITTI_FOLDER, READERS, read_cloud, scans_in
@@ -141,7 +141,7 @@ def _read_recording(
     The file is read twice, for poses and then for clouds, so that no cloud has to wait in memory
     for its pose.
     """
-    bag = Recording(path)
+    bag = BagReader(path)
     contents = bag.contents(topic, fixed_frame)
     times = contents.stamps_s
     poses = list[Pose | None]([ORIGIN] * len(times))

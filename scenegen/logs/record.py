@@ -40,7 +40,7 @@ from scenegen.logs.bags import (
     write_messages,
 )
 from scenegen.worlds.clouds.write import encode_points
-from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
+from scenegen.worlds.flight import TRIES, FlightConfig, Route, connect, points_of
 from scenegen.worlds.poses import write_tum
 from scenegen.worlds.traffic import KINDS
 from scenegen.worlds.world import AnyWorld, World
@@ -73,10 +73,10 @@ moving-other-vehicle."""
 def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int) -> list[Pose]:
     """Draw a long random flight through a world.
 
-    The flight joins paths of RRT whose corners are cut by B-spline subdivision where a `Flight`'s
-    clearance allows (OMPL's `PathSimplifier`). It is then averaged over two radii of the robot, by
-    a triangle, which moves no point by more than two thirds of the radius, so that a third of the
-    clearance is left.
+    The flight joins paths of RRT whose corners are cut by B-spline subdivision where a
+    `FlightConfig`'s clearance allows (OMPL's `PathSimplifier`). It is then averaged over two radii
+    of the robot, by a triangle, which moves no point by more than two thirds of the radius, so that
+    a third of the clearance is left.
 
     Args:
         world: The world.
@@ -90,7 +90,7 @@ def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int)
     Raises:
         GenerationError: No flight of this length fits between the solids.
     """
-    flight, rng = Flight(), np.random.default_rng(seed)
+    flight, rng = FlightConfig(), np.random.default_rng(seed)
     route = Route(_tour(world, flight, cruise.length_m, rng=rng))
     flown = np.arange(0.0, cruise.length_m, FINE_M)
     # paths have corners, at which a vehicle would have to stop: average them away
@@ -128,7 +128,9 @@ def _times(curve: Floats, cruise: Cruise) -> Floats:
     return np.append(0.0, np.cumsum(FINE_M / np.sqrt(squares[:-1])))
 
 
-def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Generator) -> Floats:
+def _tour(
+    world: AnyWorld, flight: FlightConfig, length_m: float, *, rng: np.random.Generator
+) -> Floats:
     """Return a collision-free path (n, 3) from goal to goal, metres, of at least this length."""
     bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     apart = min(flight.min_distance_m, math.dist(*bounds) / 3)

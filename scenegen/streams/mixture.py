@@ -35,7 +35,7 @@ from scenegen.truth import distance_field
 from scenegen.worlds.kinds import KINDS, graded
 from scenegen.worlds.recipe import Recipe, preset, read_recipe
 
-Unit = tuple[bytes, ...]
+PackedUnit = tuple[bytes, ...]
 """Packed samples of a unit."""
 Slot = tuple[int, int]
 """Key of a unit: number of its component in the mixture, and number of the unit there."""
@@ -64,7 +64,7 @@ def _is_flags(name: str) -> bool:
     return bool(FIELDS[name]["dtype"] == "bool")
 
 
-def pack(sample: Sample, kind: np.dtype) -> bytes:
+def pack_sample(sample: Sample, kind: np.dtype) -> bytes:
     """Compress a sample.
 
     Args:
@@ -105,7 +105,7 @@ class Ahead:
     are requested again.
     """
 
-    def __init__(self, make: Callable[[Slot], Unit], workers: int):
+    def __init__(self, make: Callable[[Slot], PackedUnit], workers: int):
         self._make, self._died = make, 0
         self._given = {Worker(make): deque[Slot]() for _ in range(workers)}
         self._done: dict[Slot, tuple[bool, Any]] = {}
@@ -130,7 +130,7 @@ class Ahead:
             with contextlib.suppress(OSError):  # it died, which `collect` notices
                 worker.pipe.send(slot)
 
-    def take(self, slot: Slot) -> Unit:
+    def take(self, slot: Slot) -> PackedUnit:
         """Wait for a unit, and request it if necessary.
 
         Raises:
@@ -361,7 +361,7 @@ class Mixture:
         )
 
 
-def parts_of(worlds: Any) -> list[tuple[Any, Any]]:
+def weighted_sources(worlds: Any) -> list[tuple[Any, Any]]:
     """Split the user's `worlds` into (source, weight) pairs: a mapping to weights, a list of
     sources or of pairs, or one source."""
     if isinstance(worlds, Mapping):

@@ -21,19 +21,19 @@ from scenegen.base.reading import sha256_of
 from scenegen.dataset.generation import with_parts
 from scenegen.dataset.manifest import schema_of
 from scenegen.draw.mixture import MIXED, fraction, is_mixed, read_components, seeds
-from scenegen.draw.sample import Sample, Samples, Schema, rng_of
+from scenegen.draw.sample import Sample, SampleSequence, Schema, rng_of
 from scenegen.draw.source import DrawnWorlds
 from scenegen.streams.mixture import (
     Ahead,
     Component,
     Mixture,
+    PackedUnit,
     Slot,
-    Unit,
     component_of,
-    pack,
-    parts_of,
+    pack_sample,
     record_type,
     unpack,
+    weighted_sources,
 )
 from scenegen.worlds.mapping import Sensing
 
@@ -44,7 +44,7 @@ AHEAD = 4
 """Units per worker that are drawn in advance."""
 
 
-class Stream(Samples):
+class Stream(SampleSequence):
     """Samples by number. `stream[i]` depends only on the sources, the seed, the split and i.
 
     The first n samples of a stream of one source are those of the dataset with its seed and split,
@@ -162,7 +162,7 @@ class Stream(Samples):
 
     def _forget(self) -> None:
         """Reset the state of a process."""
-        self._units, self._bytes = dict[Slot, Unit](), 0
+        self._units, self._bytes = dict[Slot, PackedUnit](), 0
         self._coming = iter(())
         self._ahead = None
         self._process = os.getpid()
@@ -188,7 +188,7 @@ class Stream(Samples):
                 self._ahead.give(later)
                 room -= 1
 
-    def _unit(self, slot: Slot) -> Unit:
+    def _unit(self, slot: Slot) -> PackedUnit:
         """Packed samples of a unit, which becomes the most recently used one."""
         unit = self._units.pop(slot, None)
         if unit is None:
@@ -201,13 +201,17 @@ class Stream(Samples):
         return unit
 
 
-def _unit_of(components: Sequence[Component], records: Sequence[np.dtype], slot: Slot) -> Unit:
+def _unit_of(
+    components: Sequence[Component], records: Sequence[np.dtype], slot: Slot
+) -> PackedUnit:
     """Draw and pack the unit of a slot, in any process. Raises GenerationError."""
     part, unit = slot
-    return tuple(pack(sample, records[part]) for sample in components[part].draw(unit).samples)
+    return tuple(
+        pack_sample(sample, records[part]) for sample in components[part].draw(unit).samples
+    )
 
 
-class Place:
+class ReadPosition:
     """Position of a reader: a count of what was read.
 
     Args:
@@ -248,7 +252,7 @@ class Place:
         self._done = check_int(where, state.get(self._unit), 0, self._limit)
 
 
-class Reader(Place, Iterator[Sample]):
+class Reader(ReadPosition, Iterator[Sample]):
     """A stream's samples in order, from 0 or from a restored position."""
 
     def __init__(self, stream: Stream):
@@ -267,7 +271,7 @@ class Reader(Place, Iterator[Sample]):
         return sample
 
 
-class Batches(Place, Iterator[list[int]]):
+class Batches(ReadPosition, Iterator[list[int]]):
     """Sample numbers of each batch; a torch batch sampler. `batches[n]` depends only on the
     stream's seed, `size`, `loaders` and n.
 
@@ -372,7 +376,7 @@ def stream(
         UsageError: if there is no such part.
     """
     seed = check_int("stream: seed =", seed, 0, MAX_SEED)
-    entries = [entry for pair in parts_of(worlds) for entry in _unmixed(*pair, seed)]
+    entries = [entry for pair in weighted_sources(worlds) for entry in _unmixed(*pair, seed)]
     components = [
         component_of(source, seed=seed, split=split, engine=engine) for source, _ in entries
     ]

@@ -54,7 +54,7 @@ class Check:
     """Whether it is part of `--quick`."""
     field: str = ""
     """Field that it examines, if some datasets lack it; the check is then omitted. Functions test
-    other conditions themselves, by `Sample.contract`."""
+    other conditions themselves, by `RawSample.contract`."""
     part: bool = False
     """Whether it examines optional parts (see `scenegen.draw.parts`); without any, the check is
     omitted."""
@@ -64,7 +64,7 @@ class Check:
     """Examines the screened worlds of an archive."""
     shard: "Callable[[Shard, Page], None] | None" = None
     """Examines an open shard, before its samples."""
-    sample: "Callable[[Sample, Page], None] | None" = None
+    sample: "Callable[[RawSample, Page], None] | None" = None
     """Examines one unpacked sample."""
     folder: Callable[[Manifest, Page], None] | None = None
     """Examines the whole dataset at the end, with the data that earlier levels kept."""
@@ -276,7 +276,7 @@ def times_of(contract: Manifest, stored: Callable[[str], Any]) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class RawSample:
     """One unpacked sample: all fields, or without derived ones if `quick`."""
 
     shard: Shard

@@ -26,7 +26,7 @@ from scenegen.draw.source import DrawnWorlds
 from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
-    Sample,
+    RawSample,
     Shard,
     SignedFile,
     Task,
@@ -144,7 +144,7 @@ def examine(task: Task) -> Findings:
                 # read-only unless expensive checks call kernels, which take writable arrays
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
                 _make_checks(
-                    "sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes())
+                    "sample", RawSample(shard, row, fields, opened.value(DIGEST, row).tobytes())
                 )
     return task.number, ledger
 

@@ -27,7 +27,7 @@ from scenegen.draw.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
 from scenegen.draw.movers import ray_times
 from scenegen.draw.sample import FIELDS, rng_of
 from scenegen.draw.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of, times_of
+from scenegen.verification.check import Check, RawSample, Shard, Worlds, auditor, scans_of, times_of
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
@@ -118,7 +118,7 @@ def why_other(contract: Manifest) -> str:
     return f"made with other software: {', '.join(differing)}" if differing else ""
 
 
-def _cast_again(sample: Sample, page: Page) -> None:
+def _cast_again(sample: RawSample, page: Page) -> None:
     if (world := sample.audited) is None:
         return
     lidar, scans = sample.contract.lidar, sample.scans
@@ -159,7 +159,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             )
 
 
-def _auditor(sample: Sample, world: AnyWorld, times_s: Floats, rays: Ints) -> Caster:
+def _auditor(sample: RawSample, world: AnyWorld, times_s: Floats, rays: Ints) -> Caster:
     """Auditor of rays (n,) of a scan whose rays have times (*lidar.shape)."""
     return auditor(world, sample.contract.engine, times_s.reshape(-1)[rays])
 
@@ -172,7 +172,7 @@ def _effort(world: AnyWorld, max_range_m: float) -> int:
     return len(world.solids.shape) + len(world.solids.triangles)
 
 
-def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
+def _scanned_again(sample: RawSample, world: AnyWorld, page: Page) -> list[Scan]:
     """Clean scans of a noisy sample by the dataset's own engine. With noise added, they must equal
     the stored scans if the software is the same. Raises CorruptFileError."""
     task, contract = sample.shard.task, sample.contract

@@ -18,7 +18,7 @@ from scenegen.base.limits import GUARD_BYTES, GUARD_S
 from scenegen.base.workers import guarded
 from scenegen.dataset.layout import Layout, ShardFile, open_shard
 from scenegen.dataset.manifest import Manifest
-from scenegen.verification.check import Check, Sample, Worlds
+from scenegen.verification.check import Check, RawSample, Worlds
 from scenegen.verification.report import Page
 from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
@@ -121,7 +121,7 @@ MAX_OPEN = 100
 """Maximum number of open shards."""
 SECONDS_A_PAIR = 1.0
 """Additional time for the comparison of a pair, seconds."""
-Place = tuple[int, int]
+SampleKey = tuple[int, int]
 """A sample: number of its shard, and its row."""
 
 
@@ -205,7 +205,7 @@ def _regions_apart(contract: Manifest, page: Page) -> None:
         )
 
 
-def _keep_signature(sample: Sample, page: Page) -> None:
+def _keep_signature(sample: RawSample, page: Page) -> None:
     if (sample.shard.first_place + sample.row) % sample.shard.task.twins_of:
         return
     occupancy, observed = sample.fields["occupancy"], sample.fields["observed"]
@@ -245,8 +245,8 @@ def _compare(contract: Manifest, page: Page) -> None:
 
 
 def _find_twins(
-    task: tuple[dict[int, tuple[Path, int, Layout]], list[tuple[Place, Place]]],
-) -> list[tuple[Place, Place, float, float]]:
+    task: tuple[dict[int, tuple[Path, int, Layout]], list[tuple[SampleKey, SampleKey]]],
+) -> list[tuple[SampleKey, SampleKey, float, float]]:
     """Compare pairs of samples. Returns near-duplicates with the overlap of their occupied and
     observed voxels.
 
@@ -258,7 +258,7 @@ def _find_twins(
     def opened(number: int) -> ShardFile:
         return open_shard(*shards[number])
 
-    def maps(name: str, *places: Place) -> Any:
+    def maps(name: str, *places: SampleKey) -> Any:
         return [opened(number).value(name, row) for number, row in places]
 
     twins = []

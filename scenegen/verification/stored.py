@@ -21,7 +21,7 @@ from scenegen.draw.movers import mover_voxels, stored_movers
 from scenegen.draw.parts import PARTS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
-from scenegen.verification.check import Check, Sample, times_of
+from scenegen.verification.check import Check, RawSample, times_of
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import Page
 from scenegen.worlds.place import Place
@@ -43,7 +43,7 @@ LEAN = 1e-9
 """Tolerance of the cosine of a body's tilt."""
 
 
-def _own_digest(sample: Sample, page: Page) -> None:
+def _own_digest(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     # not by `Sample.sha256`, which made it: two programs must agree on docs/format.md
     content_hash = sample.content.copy()
@@ -73,7 +73,7 @@ def _whole_digest(contract: Manifest, page: Page) -> None:
     )
 
 
-def _numbered(sample: Sample, page: Page) -> None:
+def _numbered(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     entry, name = sample.shard.task.entry, (sample.world, int(sample.fields["viewpoint"]))
     place = sample.shard.first_place + sample.row
@@ -84,7 +84,7 @@ def _numbered(sample: Sample, page: Page) -> None:
     )
 
 
-def _centred(sample: Sample, page: Page) -> None:
+def _centred(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     mapping, grid, fields = sample.contract.mapping, sample.contract.grid, sample.fields
     attitudes = np.concatenate(
@@ -118,7 +118,7 @@ def _centred(sample: Sample, page: Page) -> None:
     )
 
 
-def _lawful(sample: Sample, page: Page) -> None:
+def _lawful(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     max_range_m, invalid = sample.contract.lidar.max_range_m, 0
     for name in ("ranges", "earlier_ranges"):
@@ -158,13 +158,13 @@ def _lawful(sample: Sample, page: Page) -> None:
         )
 
 
-def _movers_of(sample: Sample) -> Movers:
+def _movers_of(sample: RawSample) -> Movers:
     """Movers of a sample's tables. Raises CorruptFileError if they are damaged."""
     with reraise_as(CorruptFileError, f"{sample.where}: ", of=DatasetError):
         return stored_movers(SimpleNamespace(**sample.fields))
 
 
-def _strays_in_time(sample: Sample, bound_m: float | None) -> int:
+def _strays_in_time(sample: RawSample, bound_m: float | None) -> int:
     """Count returns of each scan where nothing was when that scan began: voxels of clean returns,
     or returns that are farther than `bound_m` from what was occupied.
 
@@ -189,7 +189,7 @@ def _strays_in_time(sample: Sample, bound_m: float | None) -> int:
     return stray
 
 
-def _part_laws(sample: Sample, page: Page) -> None:
+def _part_laws(sample: RawSample, page: Page) -> None:
     contract = sample.contract
     # other engines may differ where rays graze an edge
     exact = contract.noise is None and contract.engine == DEFAULT
@@ -200,7 +200,7 @@ def _part_laws(sample: Sample, page: Page) -> None:
 
 
 def _expect_equal(
-    sample: Sample, name: str, expected: NDArray[Any], source: str, page: Page
+    sample: RawSample, name: str, expected: NDArray[Any], source: str, page: Page
 ) -> None:
     """Compare a stored field bit for bit with one that was computed again from `source`."""
     # compared by bits, so that NaN equals itself and -0.0 differs from 0.0
@@ -216,18 +216,18 @@ def _expect_equal(
     )
 
 
-def _tudf(sample: Sample, page: Page) -> None:
+def _tudf(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     again = distance_field(sample.fields["occupancy"], sample.contract.grid)
     _expect_equal(sample, "tudf", again, "occupancy", page)
 
 
-def _seen(name: str, sample: Sample, page: Page) -> None:
+def _seen(name: str, sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     _expect_equal(sample, name, getattr(sample.seen, name), "ranges", page)
 
 
-def _occupancy(sample: Sample, page: Page) -> None:
+def _occupancy(sample: RawSample, page: Page) -> None:
     if sample.solids is None:
         return
     page.count(samples=1)
@@ -250,7 +250,7 @@ def _occupancy(sample: Sample, page: Page) -> None:
         _expect_equal(sample, "known", known, f"world {sample.world}", page)
 
 
-def _rays_known(sample: Sample, page: Page) -> None:
+def _rays_known(sample: RawSample, page: Page) -> None:
     world, known = sample.audited, sample.contract.known
     if world is None or known is None:
         return
@@ -259,7 +259,7 @@ def _rays_known(sample: Sample, page: Page) -> None:
     _expect_equal(sample, "ray_known", again, f"world {sample.world}", page)
 
 
-def _parts_again(sample: Sample, page: Page) -> None:
+def _parts_again(sample: RawSample, page: Page) -> None:
     contract = sample.contract
     if not contract.parts or (world := sample.audited) is None:
         return

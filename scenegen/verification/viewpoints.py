@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset.manifest import Manifest
-from scenegen.verification.check import Check, Sample
+from scenegen.verification.check import Check, RawSample
 from scenegen.verification.report import Page
 
 CONTENT = np.dtype([("content", "S16"), ("row", "<u4")])
@@ -22,7 +22,7 @@ ROUNDING_S = 1e-9
 """Tolerance of times, seconds."""
 
 
-def _keep(sample: Sample, page: Page, record: NDArray[Any]) -> None:
+def _keep(sample: RawSample, page: Page, record: NDArray[Any]) -> None:
     """Keep a record for the examination of the whole dataset."""
     if not page.kept:  # once a shard: there may be millions of samples
         page.kept.append((sample.shard.task.number, bytearray()))
@@ -37,7 +37,7 @@ def _all_kept(page: Page, kind: np.dtype) -> tuple[NDArray[Any], NDArray[np.int6
     return np.concatenate([np.empty(0, kind), *records]), np.repeat(numbers, counts)
 
 
-def _keep_content(sample: Sample, page: Page) -> None:
+def _keep_content(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     _keep(sample, page, np.array((sample.content.digest()[:16], sample.row), CONTENT))
 
@@ -55,7 +55,7 @@ def _differ(contract: Manifest, page: Page) -> None:
         page.fault(f"{second} has the content of {first}, expected that of another viewpoint")
 
 
-def _flown(sample: Sample, page: Page) -> None:
+def _flown(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     contract, position = sample.contract, sample.fields["position"]
     _keep(sample, page, np.array((sample.shard.first_place + sample.row, position), PLACE))
@@ -125,7 +125,7 @@ def _distances_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDA
     return distances_m
 
 
-def _accepted(sample: Sample, page: Page) -> None:
+def _accepted(sample: RawSample, page: Page) -> None:
     page.count(samples=1)
     contract, fields = sample.contract, sample.fields
     if contract.like is not None:

@@ -24,7 +24,7 @@ MASKS = ("observed", "free", "occupancy")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Route:
+class PlannedPath:
     """A planned path. Positions are metres in the world."""
 
     start: Floats
@@ -51,7 +51,7 @@ class Guess:
     """Occupied voxels, of the grid's shape."""
     tudf: Field | None
     """Distances, of the grid's shape, metres; None if the method predicts none."""
-    route: Route | None = None
+    route: PlannedPath | None = None
     """The path planned on these maps."""
     figures: Mapping[str, str] = field(default_factory=dict)
     """Its metrics of other targets, by name."""

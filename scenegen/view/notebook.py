@@ -22,7 +22,7 @@ from scenegen.base.files import write_result
 from scenegen.base.paths import TYPES, check_type, function_for, what_is
 from scenegen.dataset.locate import locate
 from scenegen.draw.sample import Sample
-from scenegen.view.look import Guess, Look, Route, look_at
+from scenegen.view.look import Guess, Look, PlannedPath, look_at
 from scenegen.view.page import page
 
 TALL = 620
@@ -212,11 +212,11 @@ def _guess(name: str, predicted: Any, grid: GridSpec) -> Guess:
     return Guess(name=name, occupied=occupied, tudf=tudf, chance=chance)
 
 
-def _route(path: Any) -> Route:
-    """Check the points of a path, and make a `Route`."""
+def _route(path: Any) -> PlannedPath:
+    """Check the points of a path, and make a `PlannedPath`."""
     with reraise_as(DatasetError, "path: ", of=(TypeError, ValueError)):
         points = np.asarray(path, float)
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    return Route(start=points[0], goal=points[-1], points=points, told=f"{length:.2f} m")
+    return PlannedPath(start=points[0], goal=points[-1], points=points, told=f"{length:.2f} m")

@@ -26,12 +26,12 @@ from scenegen.base.errors import DatasetError, printable
 from scenegen.view import blocks, canvas
 from scenegen.view.blocks import project
 from scenegen.view.canvas import DISTANCES, HEIGHTS, SCREEN, Anchors, Paper, colour, rgb
-from scenegen.view.look import Guess, Look, Route
+from scenegen.view.look import Guess, Look, PlannedPath
 
 if TYPE_CHECKING:
-    from scenegen.logs.against import Unit
+    from scenegen.logs.against import SensorUnit
 
-Part = tuple[Floats, dict[str, Any]]
+StyledPoints = tuple[Floats, dict[str, Any]]
 """Points (n, 3) of dots or of a line, metres in the world; and their style for matplotlib, in a
 panel of `PANEL` inches."""
 
@@ -59,7 +59,7 @@ HATCH: dict[str, Any] = {"fc": "#eef0f2", "ec": SOFT, "hatch": "//////"}
 """Style of unknown voxels in a level."""
 
 
-def _patch(label: str, **style: Any) -> Part:
+def _patch(label: str, **style: Any) -> StyledPoints:
     """Make a square for the legend."""
     return np.empty((0, 3)), {"label": label, "marker": "s", "s": 60, "lw": 0.5} | style
 
@@ -87,9 +87,9 @@ class Panel:
     """Unknown voxels."""
     image: Floats | None = None
     """Colours (X, Y, 4) of a level, which is then seen from above; without opacity: unknown."""
-    dots: Sequence[Part] = ()
+    dots: Sequence[StyledPoints] = ()
     """Balls and points."""
-    lines: Sequence[Part] = ()
+    lines: Sequence[StyledPoints] = ()
     """Paths."""
     bar: tuple[str, Anchors, float, float] | None = None
     """Label of a colour bar, its scale, and the values of its ends."""
@@ -311,7 +311,7 @@ def _map(
     *,
     truth: Mask | None = None,
     anchors: Anchors = HEIGHTS,
-    dots: Sequence[Part] | None = None,
+    dots: Sequence[StyledPoints] | None = None,
     **values: Any,
 ) -> Panel | None:
     """Make a panel of voxels, coloured by height; unknown ones are a veil.
@@ -349,7 +349,7 @@ def _heights(look: Look) -> tuple[str, Anchors, float, float]:
     return "height in the map / m", HEIGHTS, 0.0, float(look.grid.extent_m[2])
 
 
-def _sensor(look: Look) -> list[Part]:
+def _sensor(look: Look) -> list[StyledPoints]:
     return [(look.position[None], SENSOR)] * look.has_sensor
 
 
@@ -426,13 +426,13 @@ def _paths(
     names: Sequence[str],
     *,
     hits: bool = True,
-    lines: Sequence[Part] = (),
+    lines: Sequence[StyledPoints] = (),
     caption: str = "",
 ) -> Panel | None:
     """Make a panel of voxels with paths, and where these collide if `hits`. `names` are all methods
     of the picture; `lines` are further ones."""
     inks = dict(zip(names, canvas.path_colours(names), strict=True))
-    further, lines, dots = len(lines), list(lines), list[Part]()
+    further, lines, dots = len(lines), list(lines), list[StyledPoints]()
     for guess in guesses:
         if (route := guess.route) is None:
             continue
@@ -456,7 +456,7 @@ def _paths(
 
 
 def _row(
-    look: Look, figure: str, names: Sequence[str], box: Sequence[Part], caption: str
+    look: Look, figure: str, names: Sequence[str], box: Sequence[StyledPoints], caption: str
 ) -> dict[str, Panel | None]:
     """Make a row of a sample's panels by the names of their columns, see `draw`."""
     truth, by_name = look.masks.get("occupancy"), {guess.name: guess for guess in look.guesses}
@@ -549,7 +549,7 @@ def with_path(
         hit: Where it meets an obstacle (3,); None: nowhere.
     """
     goal = points[-1] if goal is None else np.array(goal)
-    route = Route(start=points[0], goal=goal, points=points, told="", hit=hit)
+    route = PlannedPath(start=points[0], goal=goal, points=points, told="", hit=hit)
     guess = Guess(name=name, occupied=look.masks["occupancy"], tudf=None, route=route)
     return replace(look, guesses=(*look.guesses, guess))
 
@@ -591,7 +591,7 @@ def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     return figure
 
 
-def draw_unit(unit: "Unit") -> Figure:
+def draw_sensor_unit(unit: "SensorUnit") -> Figure:
     """Draw the elevations of a unit less those of its model, its ranges, and the noise of
     planes."""
     figure = Figure(figsize=(9.6, 3.2), dpi=100, layout="constrained")

@@ -10,7 +10,7 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
-from lidarsim.movers import COEFFICIENTS, Movers, location, place, pose, velocity
+from lidarsim.movers import COEFFICIENTS, Movers, find_piece, location, pose, velocity
 from lidarsim.solids import Solids, joining, local
 from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, triangle_distance
@@ -458,7 +458,7 @@ def _near_movers(x, y, z, time, arguments):
     courses, reach, solid_start, shape, size, offset = arguments
     nearest = CAP_M
     for m in range(len(reach)):
-        piece, u, px, py, pz = place(m, time, courses)
+        piece, u, px, py, pz = find_piece(m, time, courses)
         dx, dy, dz = x - px, y - py, z - pz
         # most movers are far away: their ball spares the turn and the solids
         if math.sqrt(dx * dx + dy * dy + dz * dz) - reach[m] >= nearest:

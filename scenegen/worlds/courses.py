@@ -23,13 +23,13 @@ LEAST_TURN = 8
 
 Pair = tuple[float, float]
 """x and y."""
-Channel = tuple[float, float, float, float]
+Polynomial = tuple[float, float, float, float]
 """COEFFICIENTS of a polynomial."""
 STILL = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Course:
+class MoverCourse:
     """One mover's course over a period."""
 
     begin_s: Floats
@@ -41,10 +41,10 @@ class Course:
 
     @cached_property
     def table(self) -> tuple[float, Ints, Floats, Floats]:
-        """The course as `lidarsim.movers.place` takes it, mover 0 of 1. It does not repeat."""
+        """The course as `lidarsim.movers.find_piece` takes it, mover 0 of 1. It does not repeat."""
         return math.inf, np.array([0, len(self.begin_s)]), self.begin_s, self.pieces
 
-    def begun_at(self, ticks: int) -> "Course":
+    def begun_at(self, ticks: int) -> "MoverCourse":
         """Return the course that begins later in the period; what it leaves out comes at the end.
 
         Args:
@@ -58,7 +58,7 @@ class Course:
         pieces[0], begin_s[0] = _after(pieces[0], -begin_s[0]), 0.0
         # nothing is left of a piece that begins at this time
         lasting = begin_s < PERIOD_S
-        return Course(begin_s[lasting], pieces[lasting], self.round_s)
+        return MoverCourse(begin_s[lasting], pieces[lasting], self.round_s)
 
     @cached_property
     def fastest_mps(self) -> float:
@@ -91,13 +91,13 @@ class _Writer:
     In plain numbers: arrays of three take ten times as long."""
 
     def __init__(self) -> None:
-        self.ticks, self.begins, self.channels = 0, list[int](), list[Channel]()
+        self.ticks, self.begins, self.channels = 0, list[int](), list[Polynomial]()
 
     def add(
         self,
         ticks: int,
         place: Vector,
-        heading: Pair | tuple[Channel, Channel],
+        heading: Pair | tuple[Polynomial, Polynomial],
         velocity: Vector = STILL,
         half: Vector = STILL,
     ) -> None:
@@ -119,10 +119,10 @@ class _Writer:
             self.channels.append(c if isinstance(c, tuple) else (c, c * 0.0, c * 0.0, c * 0.0))
         self.ticks += ticks
 
-    def course(self) -> Course:
+    def course(self) -> MoverCourse:
         """The course so far."""
         pieces = np.array(self.channels).reshape(-1, CHANNELS, COEFFICIENTS)
-        return Course(np.array(self.begins) * TICK_S, pieces)
+        return MoverCourse(np.array(self.begins) * TICK_S, pieces)
 
 
 def _ticks(seconds: float) -> int:
@@ -135,7 +135,7 @@ def _moved(place: Vector, velocity: Vector, seconds: float) -> Vector:
     return x + u * seconds, y + v * seconds, z + w * seconds
 
 
-def _smooth(start: Pair, chord: Pair, seconds: float) -> tuple[Channel, Channel]:
+def _smooth(start: Pair, chord: Pair, seconds: float) -> tuple[Polynomial, Polynomial]:
     """Polynomials of a heading that runs along a chord by 3 s² - 2 s³."""
     square, cube = 3.0 / (seconds * seconds), -2.0 / (seconds * seconds * seconds)
     (x, y), (u, v) = start, chord
@@ -179,7 +179,7 @@ def from_stop_to_stop(
     waits_s: Sequence[float],
     *,
     backs_up: bool = False,
-) -> Course | None:
+) -> MoverCourse | None:
     """Make a course that stops, waits and turns at every point, and repeats.
 
     Args:
@@ -226,7 +226,9 @@ def from_stop_to_stop(
     return _repeated(writer, places[0], headings[-1])
 
 
-def without_stop(points: Floats, speed: float, acceleration: float, rate: float) -> Course | None:
+def without_stop(
+    points: Floats, speed: float, acceleration: float, rate: float
+) -> MoverCourse | None:
     """Make a course round a loop at nearly constant speed, whose corners are parabolas.
 
     Args:
@@ -282,7 +284,7 @@ def without_stop(points: Floats, speed: float, acceleration: float, rate: float)
     return _repeated(writer, places[0], headings[-1].tolist())
 
 
-def _repeated(writer: _Writer, place: Vector, heading: Pair) -> Course | None:
+def _repeated(writer: _Writer, place: Vector, heading: Pair) -> MoverCourse | None:
     """Repeat a tour while it fits into the period, and stand for the rest of it."""
     if writer.ticks > PERIOD_TICKS:
         return None
@@ -291,4 +293,4 @@ def _repeated(writer: _Writer, place: Vector, heading: Pair) -> Course | None:
     still.add(PERIOD_TICKS - rounds * writer.ticks, place, heading)
     parts, round_s = [*[tour] * rounds, still.course()], writer.ticks * TICK_S
     begin_s = np.concatenate([part.begin_s + n * round_s for n, part in enumerate(parts)])
-    return Course(begin_s, np.concatenate([part.pieces for part in parts]), round_s)
+    return MoverCourse(begin_s, np.concatenate([part.pieces for part in parts]), round_s)

@@ -42,7 +42,7 @@ ou.noOutputHandler()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class FlightConfig:
     """How a sensor flies through a world, and where along the way it scans."""
 
     robot_radius_m: float = number(0.3, above=0, below=CAP_M)
@@ -103,8 +103,8 @@ Sees = Callable[[Floats], bool]
 """Tells whether enough of a map is known around a point (3,), world metres, to scan there."""
 
 
-def fly(
-    world: AnyWorld, flight: Flight, *, rng: Generator, sees: Sees | None = None
+def plan_flight(
+    world: AnyWorld, flight: FlightConfig, *, rng: Generator, sees: Sees | None = None
 ) -> Floats | None:
     """Draw a collision-free path between a random start and goal by RRT (LaValle 1998) as OMPL has
     it.
@@ -142,7 +142,7 @@ def fly(
 def connect(
     clearance: Clearance,
     bounds: Floats,
-    flight: Flight,
+    flight: FlightConfig,
     ends: tuple[Floats, Floats],
     seed: int,
     planner_type: Any = og.RRT,
@@ -218,7 +218,7 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator
+    clearance: Clearance, bounds: Floats, flight: FlightConfig, *, rng: Generator
 ) -> tuple[Floats, Floats] | None:
     """Draw two free points far enough apart; None after a hundred draws."""
     min_distance, start = apart(bounds, flight), None
@@ -232,7 +232,7 @@ def _start_and_goal(
     return None
 
 
-def heights(place: Place, flight: Flight) -> Floats:
+def heights(place: Place, flight: FlightConfig) -> Floats:
     """Compute the box of flights through a map.
 
     Args:
@@ -247,7 +247,7 @@ def heights(place: Place, flight: Flight) -> Floats:
     return bounds
 
 
-def around(box: Floats, start: Floats, flight: Flight) -> Floats:
+def around(box: Floats, start: Floats, flight: FlightConfig) -> Floats:
     """Cut a box to that part of it in which a flight is planned.
 
     Args:
@@ -262,7 +262,7 @@ def around(box: Floats, start: Floats, flight: Flight) -> Floats:
     return np.clip([start - reach, start + reach], *box)
 
 
-def apart(box: Floats, flight: Flight) -> float:
+def apart(box: Floats, flight: FlightConfig) -> float:
     """Compute the least distance from start to goal.
 
     Args:
@@ -276,7 +276,7 @@ def apart(box: Floats, flight: Flight) -> float:
 
 
 def _ends_in_map(
-    place: Place, flight: Flight, sees: Sees, *, rng: Generator
+    place: Place, flight: FlightConfig, sees: Sees, *, rng: Generator
 ) -> tuple[Floats, tuple[Floats, Floats] | None]:
     """Draw start and goal where the map is free, wide and known, and the box of the search."""
     clearance, box, start = place.clearance, heights(place, flight), None
@@ -404,7 +404,7 @@ def poses_in_flight(world: AnyWorld, *, seed: int, every_m: float | None = None)
         GenerationError: If no flight fits.
         DatasetError: If the seed is not a whole number from 0 on.
     """
-    flight = Flight() if every_m is None else Flight(spacing_m=every_m)
+    flight = FlightConfig() if every_m is None else FlightConfig(spacing_m=every_m)
     route, flown = _flown(world, flight, seed)
     return [route.pose(metres) for metres in sorted(flown)]
 
@@ -422,14 +422,14 @@ def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
     Raises:
         GenerationError: If no flight fits.
     """
-    route, flown = _flown(world, Flight(), seed)
+    route, flown = _flown(world, FlightConfig(), seed)
     return route.pose(flown[0])
 
 
-def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
+def _flown(world: AnyWorld, flight: FlightConfig, seed: int) -> tuple[Route, Floats]:
     rng = np.random.default_rng(check_int("flight: seed =", seed, 0, MAX_SEED))
     for _ in range(TRIES):
-        path = fly(world, flight, rng=rng)
+        path = plan_flight(world, flight, rng=rng)
         if path is not None and (drawn := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
             return drawn
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")

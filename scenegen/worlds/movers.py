@@ -14,11 +14,11 @@ from numpy.random import Generator
 from lidarsim.engines import Caster
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, place
+from lidarsim.movers import CHANNELS, COEFFICIENTS, Movers, find_piece
 from lidarsim.parameters import MAX_LENGTH_M
 from lidarsim.solids import BOX, CAPSULE, ELLIPSOID, Solids
 from scenegen.worlds.clearance import Clearance, heading_lengths
-from scenegen.worlds.courses import PERIOD_TICKS, Course, from_stop_to_stop, without_stop
+from scenegen.worlds.courses import PERIOD_TICKS, MoverCourse, from_stop_to_stop, without_stop
 from scenegen.worlds.traffic import KINDS, MAX_MOVERS, MAX_SOLIDS, PERIOD_S, Traffic
 
 GAP_M = 0.05
@@ -81,7 +81,7 @@ class Body:
         return middle, float(np.sqrt((corners * corners).sum(axis=1)).max())
 
     @cached_property
-    def width(self) -> float:
+    def clearance_radius_m(self) -> float:
         """Radius of a ball that fits where the body does, when it moves ahead, metres."""
         # below `CAP_M`, which no distance exceeds; the certificate looks at all of a wider body
         return min(float((np.abs(self.balls[:, 1]) + self.balls[:, 3]).max()) + GAP_M, 0.99)
@@ -188,7 +188,7 @@ def draw_movers(
         [np.min(boxes, axis=0)[0] - MOST_LEG_M, np.max(boxes, axis=0)[1] + MOST_LEG_M]
     )
     clearance = Clearance(solids, around)
-    accepted: list[tuple[Body, Course]] = []
+    accepted: list[tuple[Body, MoverCourse]] = []
     # the largest first: they find room last
     for kind in sorted(KINDS, key=lambda name: name != "vehicle"):
         low, high = traffic.counts(kind) if zones.get(kind) else (0, 0)
@@ -213,11 +213,11 @@ def _draw_mover(
     caster: Caster,
     zones: Sequence[Floats],
     traffic: Traffic,
-    accepted: Sequence[tuple[Body, Course]],
+    accepted: Sequence[tuple[Body, MoverCourse]],
     tries: int,
     *,
     rng: Generator,
-) -> tuple[Body, Course] | None:
+) -> tuple[Body, MoverCourse] | None:
     """Draw a body, and courses until one is accepted; None after `tries`."""
     body = BODIES[kind](rng)
     for _ in range(tries):
@@ -249,7 +249,7 @@ class _Tour:
     zone: Floats
     rng: Generator
 
-    def course(self, traffic: Traffic) -> Course | None:
+    def course(self, traffic: Traffic) -> MoverCourse | None:
         """Draw a course; None if no leg is free."""
         kind = self.body.kind
         speed = float(self.rng.uniform(*getattr(traffic, f"{kind}_mps")))
@@ -326,7 +326,7 @@ class _Tour:
         for start in places:
             x, y, z = start.tolist()
             # a first look saves tries; it is the certificate that decides
-            if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.width:
+            if self.clearance.at(x, y, z + self.body.ball[0]) > self.body.clearance_radius_m:
                 break
         return np.asarray(start)
 
@@ -372,7 +372,7 @@ class _Tour:
             share = length / (math.sqrt(way_x * way_x + way_y * way_y) or 1.0)
             end = x + way_x * share, y + way_y * share, middle[2]
             inside = low_x <= end[0] <= high_x and low_y <= end[1] <= high_y
-            if inside and self.clearance.motion_is_free(middle, end, self.body.width):
+            if inside and self.clearance.motion_is_free(middle, end, self.body.clearance_radius_m):
                 return np.array([end[0], end[1], z])
         return None
 
@@ -389,7 +389,7 @@ TURNS = {
 """Cosine and sine of the angle between corners of regular polygons."""
 
 
-def _stay_apart(first: tuple[Body, Course], second: tuple[Body, Course]) -> bool:
+def _stay_apart(first: tuple[Body, MoverCourse], second: tuple[Body, MoverCourse]) -> bool:
     """Whether balls around two movers stay `GAP_M` apart for a period."""
     heights = first[0].ball[0], second[0].ball[0]
     near = GAP_M + first[0].ball[1] + second[0].ball[1]
@@ -404,8 +404,8 @@ def _are_apart(first, second, end, heights, near, speed):
     """Walk in steps that the two cannot use up; a gap below a millimetre counts as none."""
     time = 0.0
     while time < end:
-        _, _, x, y, z = place(0, time, first)
-        _, _, u, v, w = place(0, time, second)
+        _, _, x, y, z = find_piece(0, time, first)
+        _, _, u, v, w = find_piece(0, time, second)
         dx, dy, dz = u - x, v - y, w + heights[1] - z - heights[0]
         gap = math.sqrt(dx * dx + dy * dy + dz * dz) - near
         if gap < 1e-3:
@@ -414,7 +414,7 @@ def _are_apart(first, second, end, heights, near, speed):
     return True
 
 
-def _joined(movers: Sequence[tuple[Body, Course]]) -> Movers:
+def _joined(movers: Sequence[tuple[Body, MoverCourse]]) -> Movers:
     """Join bodies and courses."""
     bodies, courses = [body for body, _ in movers], [course for _, course in movers]
     owner = [m for m, body in enumerate(bodies) for _ in body.shape]
@@ -521,12 +521,12 @@ def read_text(text: str) -> Movers:
     return movers
 
 
-def _read_entry(entry: Any) -> tuple[Body, Course]:
+def _read_entry(entry: Any) -> tuple[Body, MoverCourse]:
     solids = np.array(entry["solids"], float).reshape(-1, 7)
     begin_s = np.array(entry["begin_s"], float).reshape(-1)
     pieces = np.array(entry["course"], float).reshape(len(begin_s), CHANNELS, COEFFICIENTS)
     shapes = tuple(int(shape) for shape in solids[:, 0])
-    return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), Course(begin_s, pieces)
+    return Body(entry["kind"], shapes, solids[:, 1:4], solids[:, 4:]), MoverCourse(begin_s, pieces)
 
 
 def fault_of(movers: Movers) -> str:

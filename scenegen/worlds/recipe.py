@@ -25,7 +25,7 @@ from scenegen.base.limits import (
     MAX_VOXELS,
     MAX_VOXELS_IN_FLIGHT,
 )
-from scenegen.worlds.flight import Flight, Sees
+from scenegen.worlds.flight import FlightConfig, Sees
 from scenegen.worlds.kinds import find_kind
 from scenegen.worlds.kinds.kind import WorldKind
 from scenegen.worlds.mapping import Known, Mapper
@@ -63,7 +63,7 @@ class Acceptance(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faults(Checked):
+class NoiseConfig(Checked):
     """A recipe's [noise]."""
 
     stages: str = ""
@@ -85,7 +85,7 @@ class Recipe:
     """Which of the kind's presets `world` began as."""
     world: WorldKind | None = None
     """How worlds are drawn; None for worlds from MJCF files."""
-    flight: Flight = field(default_factory=Flight)
+    flight: FlightConfig = field(default_factory=FlightConfig)
     accept: Acceptance = field(default_factory=Acceptance)
     lidar: Sensor = field(default_factory=Lidar)
     """The sensor. Unless it is a raster, it becomes the table of its rays, which does not need the
@@ -379,13 +379,13 @@ def make_recipe(
     Raises:
         RecipeError: If a value is invalid; the message names the table and the parameter.
     """
-    # `Faults`, not `Noise`: the stages stay a text until the sensor is known
+    # `NoiseConfig`, not `Noise`: the stages stay a text until the sensor is known
     kinds = {
-        "flight": Flight,
+        "flight": FlightConfig,
         "accept": Acceptance,
         "lidar": Lidar,
         "grid": GridSpec,
-        "noise": Faults,
+        "noise": NoiseConfig,
         "mapping": Mapper,
     }
     # these two only where they are asked for: without them, recipes have None

@@ -27,7 +27,7 @@ def test_the_tables_of_parameters_are_those_of_the_code(path):
 
 def test_the_settings_have_every_table():
     kinds = " ".join(map(str.capitalize, kind_names()))
-    recipe = "Flight Acceptance Lidar GridSpec Faults Mapper Known"
+    recipe = "FlightConfig Acceptance Lidar GridSpec NoiseConfig Mapper Known"
     others = "TrainConfig NetworkConfig LossConfig BenchConfig Thresholds PlanConfig Vehicle Rules"
     names = f"{kinds} {recipe} {others} Survey Cruise Fusing Traffic".split()
     assert {one for _, _, one, _ in tables.ASKED.findall(page("settings.md"))} == set(names)

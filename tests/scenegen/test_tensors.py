@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 import scenegen
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.layout import ShardFile
-from scenegen.draw.sample import FIELDS, GROUPS, Sample, Samples, Schema
+from scenegen.draw.sample import FIELDS, GROUPS, Sample, SampleSequence, Schema
 from tests.command_line import example
 from tests.conftest import dataset_in, small_recipe
 from tests.refusals import refuses
@@ -79,7 +79,7 @@ def test_a_batch_can_be_written_to(samples):
         assert_array_equal(each.torch()[0]["ranges"], before)
 
 
-class Kept(Samples):
+class Kept(SampleSequence):
     """Samples in memory."""
 
     def __init__(self, samples, schema):

@@ -19,7 +19,7 @@ from scenegen.base.errors import DatasetError, needs, printable
 from scenegen.base.limits import MAX_POINTS, MAX_SCAN_BYTES
 from scenegen.base.reading import read_bounded
 from scenegen.worlds.clouds import formats
-from scenegen.worlds.clouds.columns import RING_NAMES, Table, origin_fields, time_fields
+from scenegen.worlds.clouds.columns import RING_NAMES, CloudTable, origin_fields, time_fields
 
 MAX_SCANS = 100_000
 """Scans of a folder."""
@@ -54,7 +54,7 @@ class Cloud:
         return np.asarray(np.isfinite(self.points).all(axis=1) & self.points.any(axis=1))
 
 
-def cloud_of(table: Table) -> Cloud:
+def cloud_of(table: CloudTable) -> Cloud:
     """Make the cloud of a file's columns. Raises ValueError if these are not numbers."""
     columns = table.columns
 
@@ -170,7 +170,7 @@ class ReadReport:
         return f"read: {several}{self.points:,} points, {'; '.join(self.layouts)}{lost}"
 
 
-NAMED: dict[str, Callable[[bytes], Table]] = {
+NAMED: dict[str, Callable[[bytes], CloudTable]] = {
     ".ply": formats.read_ply,
     ".pcd": formats.read_pcd,
     ".las": formats.read_las,
@@ -178,7 +178,7 @@ NAMED: dict[str, Callable[[bytes], Table]] = {
     ".xyz": formats.read_xyz,
 }
 """File types whose fields have names, and their readers."""
-UNNAMED: dict[str, Callable[[bytes, int | None], Table]] = {
+UNNAMED: dict[str, Callable[[bytes, int | None], CloudTable]] = {
     ".bin": formats.read_bin,
     ".pcd.bin": formats.read_nuscenes,
     ".npy": formats.read_array,

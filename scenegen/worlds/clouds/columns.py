@@ -42,7 +42,7 @@ CHANCE_SIGMA = 5
 HELP = "give --columns N, float32 numbers of a point, x y z first"
 
 
-class Table(NamedTuple):
+class CloudTable(NamedTuple):
     """The columns of a file that are used, and how they were read."""
 
     columns: Mapping[str, NDArray[Any]]
@@ -92,7 +92,7 @@ def short_list(names: Sequence[str]) -> str:
     return " ".join(listed[:MAX_NAMES]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
-def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> Table:
+def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> CloudTable:
     """Make a table of an array, (N, C) or (C, N), or with the fields of a structured one.
 
     Args:
@@ -108,7 +108,7 @@ def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> Table
     """
     if names := array.dtype.names:
         named = {name: array[name].reshape(-1) for name in used_fields(names)}
-        return Table(named, f"{short_list(names)} ({kind}, by names)")
+        return CloudTable(named, f"{short_list(names)} ({kind}, by names)")
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise ValueError(
             f"holds {array.dtype} of shape {array.shape}, expected (N, 3) numbers: x, y, z in "
@@ -117,7 +117,7 @@ def table_of_array(array: NDArray[Any], columns: int | None, kind: str) -> Table
     transposed = _is_transposed(array.shape, columns)
     points = array.T if transposed else array
     sides = "rows" if transposed else "columns"
-    return Table(xyz_of(points), f"x y z ({kind}, {points.shape[1]} {sides})")
+    return CloudTable(xyz_of(points), f"x y z ({kind}, {points.shape[1]} {sides})")
 
 
 def xyz_of(points: NDArray[Any]) -> dict[str, NDArray[Any]]:

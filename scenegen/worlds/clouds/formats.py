@@ -1,4 +1,4 @@
-"""File formats of point clouds, each a function from bytes to a `Table`.
+"""File formats of point clouds, each a function from bytes to a `CloudTable`.
 
 A reader may raise anything: `scenegen.worlds.clouds.read_cloud` makes one line of it."""
 
@@ -29,7 +29,7 @@ from scenegen.base.limits import (
 from scenegen.base.workers import guarded
 from scenegen.worlds.clouds.columns import (
     HELP,
-    Table,
+    CloudTable,
     fitting_columns,
     origin_fields,
     short_list,
@@ -71,7 +71,7 @@ DEGREES_TALL = 30
 """A cloud that is this many times as high as wide has its width in degrees."""
 
 
-def read_ply(content: bytes) -> Table:
+def read_ply(content: bytes) -> CloudTable:
     """Read the vertices of a PLY file (Turk 1994), which must come before all other elements.
 
     Args:
@@ -119,7 +119,7 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     return PLY_ORDERS[form], int(count), properties
 
 
-def read_pcd(content: bytes) -> Table:
+def read_pcd(content: bytes) -> CloudTable:
     """Read the points of a PCD file, and where they were seen from: fields or its VIEWPOINT
     (pointclouds.org, "The PCD file format").
 
@@ -263,7 +263,7 @@ def _unpack_lzf(packed, unpacked):
     return written
 
 
-def read_las(content: bytes) -> Table:
+def read_las(content: bytes) -> CloudTable:
     """Read the points of a LAS or LAZ file (ASPRS LAS 1.4) by laspy, scaled and with its offset.
 
     Damaged files can make laspy hang, so it runs guarded, in another process."""
@@ -275,7 +275,7 @@ def read_las(content: bytes) -> Table:
     )
 
 
-def _unpack_las(content: bytes) -> Table:
+def _unpack_las(content: bytes) -> CloudTable:
     import laspy
 
     # of this process only: its decoder prints when it fails
@@ -303,7 +303,7 @@ def _unpack_las(content: bytes) -> Table:
     if len(columns["x"]) != count:
         raise DatasetError(f"promises {count} points and holds {len(columns['x'])}")
     fields = [*"xyz", *origin_fields(names)]
-    return Table(columns, f"{short_list(fields)} (LAS, point format {form})")
+    return CloudTable(columns, f"{short_list(fields)} (LAS, point format {form})")
 
 
 def _check_metric(header: Any, x: Floats, y: Floats, z: Floats) -> None:
@@ -328,7 +328,7 @@ def _lowered(names: list[str]) -> list[str]:
     return lowered if len(set(lowered)) == len(names) else names
 
 
-def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding: str) -> Table:
+def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding: str) -> CloudTable:
     """Read the used fields of `count` points, each a line of text or bytes of type `layout`.
 
     Fields are arrays, of which the first number is read. Raises ValueError for too many points, or
@@ -346,7 +346,7 @@ def _table(content: memoryview, layout: np.dtype, count: int, kind: str, coding:
         columns = {name: rows[name][:, 0] for name in fields}
     if (held := len(columns["x"])) != count:
         raise ValueError(f"promises {count} points and holds {held}")
-    return Table(columns, f"{short_list(names)} ({kind}, {coding})")
+    return CloudTable(columns, f"{short_list(names)} ({kind}, {coding})")
 
 
 def text_columns(
@@ -383,7 +383,7 @@ def text_columns(
     return dict(zip(places, rows.T, strict=True))
 
 
-def read_xyz(content: bytes) -> Table:
+def read_xyz(content: bytes) -> CloudTable:
     """Read text: x, y and z are the first numbers of each line, unless its first line names others.
 
     Args:
@@ -406,10 +406,10 @@ def read_xyz(content: bytes) -> Table:
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     # one more than allowed, so that `read_cloud` sees that there are too many
     columns = text_columns(content.replace(b",", b" "), places, MAX_POINTS + 1)
-    return Table(columns, "x y z (.xyz, text)")
+    return CloudTable(columns, "x y z (.xyz, text)")
 
 
-def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> Table:
+def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> CloudTable:
     """Read float32, point after point.
 
     Args:
@@ -428,10 +428,10 @@ def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> T
     if len(content) % (4 * count):
         raise ValueError(f"{len(content)} bytes, no multiple of {count} float32; {HELP}")
     fields = "x y z intensity (KITTI .bin" if count == KITTI else "x y z (.bin"
-    return Table(xyz_of(values.reshape(-1, count)), f"{fields}, {count} columns)")
+    return CloudTable(xyz_of(values.reshape(-1, count)), f"{fields}, {count} columns)")
 
 
-def read_kitti(content: bytes, columns: int | None) -> Table:
+def read_kitti(content: bytes, columns: int | None) -> CloudTable:
     """Read a .bin in a folder of KITTI's layout.
 
     Args:
@@ -444,7 +444,7 @@ def read_kitti(content: bytes, columns: int | None) -> Table:
     return read_bin(content, columns, KITTI)
 
 
-def read_nuscenes(content: bytes, columns: int | None) -> Table:
+def read_nuscenes(content: bytes, columns: int | None) -> CloudTable:
     """Read nuScenes' .pcd.bin: float32, x y z intensity ring, point after point.
 
     Args:
@@ -458,10 +458,10 @@ def read_nuscenes(content: bytes, columns: int | None) -> Table:
     layout = f"x y z intensity ring (nuScenes .pcd.bin, {count} columns)"
     fields = read_bin(content, count).columns
     rings = np.frombuffer(content, "<f4")[NUSCENES - 1 :: count]
-    return Table({**fields, "ring": rings} if count == NUSCENES else fields, layout)
+    return CloudTable({**fields, "ring": rings} if count == NUSCENES else fields, layout)
 
 
-def read_array(content: bytes, columns: int | None) -> Table:
+def read_array(content: bytes, columns: int | None) -> CloudTable:
     """Read NumPy's .npy file.
 
     Args:
@@ -474,7 +474,7 @@ def read_array(content: bytes, columns: int | None) -> Table:
     return table_of_array(read_npy(content), columns, ".npy")
 
 
-def read_archive(content: bytes, columns: int | None) -> Table:
+def read_archive(content: bytes, columns: int | None) -> CloudTable:
     """Read the array `points` of NumPy's archive.
 
     Args:

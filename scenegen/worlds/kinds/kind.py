@@ -36,7 +36,7 @@ class WorldKind(ABC):
     """The parameters to lower when worlds are too crowded to fly through, and to raise when they
     are too empty; with a minus before it, one to raise and lower: ``("crown_m", "-row_m")``."""
     flight_defaults: ClassVar[dict[str, object]] = {}
-    """Fields of `scenegen.worlds.flight.Flight` in which this kind's preset differs from the
+    """Fields of `scenegen.worlds.flight.FlightConfig` in which this kind's preset differs from the
     general default."""
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.worlds.recipe.Acceptance`."""

@@ -18,7 +18,7 @@ from scenegen.model.bench.methods import METHODS, Completed, Predicted, Truth, f
 from scenegen.model.bench.metrics import METRICS, PLAN_METRICS
 from scenegen.model.bench.report import build_report, to_markdown
 from scenegen.model.bench.run import bench, plan_all
-from scenegen.model.completion.protocol import Prediction, Returns
+from scenegen.model.completion.protocol import Prediction, ReturnsCompleter
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from tests.model.bench.planning.test_measure import EAST, FAR, FREE, GRID, LATTICE
 from tests.refusals import refuses
@@ -127,7 +127,7 @@ class Drawn:
 def test_draws_are_averaged_and_the_best_of_each_map_stands_beside(dataset):
     """Draw by draw, as the random numbers of each map have it, by any number of workers."""
     split, config = dataset.split("test"), replace(CONFIG, draws=3)
-    rows = [Completed(Drawn()), Completed(Returns())]
+    rows = [Completed(Drawn()), Completed(ReturnsCompleter())]
     first, again = (bench(dataset, rows, config, execute=Local("", n)) for n in (1, 2))
     drawn, plain = first.methods.values()
     assert_array_equal(drawn.reconstruction, again.methods["drawn"].reconstruction)

@@ -21,7 +21,7 @@ from scenegen.model.bench.report import (
 )
 from scenegen.model.bench.run import bench
 from scenegen.model.bench.shown import draw_failures, extremes, failing
-from scenegen.model.completion.protocol import Returns
+from scenegen.model.completion.protocol import ReturnsCompleter
 from scenegen.model.config import BenchConfig, Thresholds
 from tests.model.bench.test_bench import Nothing
 from tests.scenegen import each_case
@@ -34,7 +34,7 @@ HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
 def measured(made):
     blind = Nothing()  # is taken for a learned one, and its paths go through everything
     blind.name = HOSTILE
-    methods = [Truth(), Completed(Returns()), Completed(blind)]
+    methods = [Truth(), Completed(ReturnsCompleter()), Completed(blind)]
     config = BenchConfig(split="train", trials=40, thresholds=Thresholds(probability=0.4))
     return bench(Dataset(made), methods, config), methods
 

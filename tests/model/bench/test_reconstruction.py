@@ -21,7 +21,13 @@ from scenegen.model.bench.visibility import (
     scored_voxels,
     walled,
 )
-from scenegen.model.completion.protocol import Conservative, Empty, Extrude, Prediction, Returns
+from scenegen.model.completion.protocol import (
+    Conservative,
+    Empty,
+    Extrude,
+    Prediction,
+    ReturnsCompleter,
+)
 from scenegen.model.config import Thresholds
 from scenegen.truth import distance_field
 from tests.conftest import small_recipe
@@ -151,7 +157,7 @@ def test_unlearned_methods_do_what_they_say():
     extruded[2, 3, 1:4] = extruded[4, 4, 0] = True
     for method, expected in (
         (Empty(), np.zeros_like(observed)),
-        (Returns(), observed),
+        (ReturnsCompleter(), observed),
         (Conservative(), ~free),
         (Extrude(), extruded),
     ):

@@ -11,7 +11,7 @@ from scenegen.fly import Rules, Vehicle
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
-from scenegen.model.completion.protocol import Prediction, Returns
+from scenegen.model.completion.protocol import Prediction, ReturnsCompleter
 from scenegen.model.robots import robot_name, split_robot_name
 from scenegen.model.robots.avoiding import TrackingRobot, TruthAmongMovers
 from scenegen.model.robots.flights import robot_maker
@@ -60,7 +60,7 @@ def test_who_predicts_keeps_away_from_who_crosses():
         robots = (
             TrackingRobot(predicts=True),
             TruthAmongMovers(world, predicts=True),
-            MappingRobot(Returns()),
+            MappingRobot(ReturnsCompleter()),
             TruthAmongMovers(world, predicts=False),
         )
         flights = [fly(crossing(world, -4.0), robot) for robot in robots]
@@ -74,7 +74,7 @@ def test_who_predicts_keeps_away_from_who_crosses():
 
 def test_what_moved_on_is_forgotten():
     world = with_person(1.5)
-    robots = MappingRobot(Returns()), TrackingRobot(predicts=False)
+    robots = MappingRobot(ReturnsCompleter()), TrackingRobot(predicts=False)
     held = []
     for robot in robots:
         flying = crossing(world, -3.0)
@@ -100,7 +100,7 @@ def test_a_robot_that_brakes_could_stop_before_what_it_has_not_seen(monkeypatch)
     """Nothing is seen beyond x = 0."""
     fastest = []
     for brakes in (None, 0.0):
-        robot = MappingRobot(Returns(), brakes=brakes)
+        robot = MappingRobot(ReturnsCompleter(), brakes=brakes)
         monkeypatch.setattr(robot, "_known_at", lambda points: points[:, 0] < 0)
         flying = crossing(HALL, -4.0, speed_mps=4.0)
         fly(flying, robot)

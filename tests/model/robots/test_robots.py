@@ -18,7 +18,7 @@ from scenegen.fly.course import Course, Recording, read_recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
-from scenegen.model.completion.protocol import Conservative, Prediction, Returns
+from scenegen.model.completion.protocol import Conservative, Prediction, ReturnsCompleter
 from scenegen.model.robots import NAMES, flights, mapping
 from scenegen.model.robots.film import ENDS, looks_of_flight, looks_of_recording
 from scenegen.model.robots.flights import ANEW, robot_maker
@@ -73,7 +73,7 @@ def test_a_robot_reaches_its_goal(name):
 
 def test_maps_that_move_along_are_of_one_grid(flying):
     """What was seen from several places is what lies there, wherever the map is by now."""
-    robot = ready(MappingRobot(Returns()), flying)
+    robot = ready(MappingRobot(ReturnsCompleter()), flying)
     for _ in range(25):
         flying.step(AHEAD)
         robot.act(flying.observe())
@@ -89,7 +89,7 @@ def test_dead_ends_deeper_than_the_window_are_left(monkeypatch):
     world = str(Path(__file__).with_name("dead_end.xml"))
     course = Course(world=world, vehicle=Vehicle(speed_mps=4.0))
     ends = {"start": (1.0, 0.0, 1.2), "goal": (16.0, 0.0, 1.2)}
-    flown = flown_mission(monkeypatch, course, MappingRobot(Returns()), **ends)
+    flown = flown_mission(monkeypatch, course, MappingRobot(ReturnsCompleter()), **ends)
     assert flown.outcome == "success"
     assert flown.path[:, 0].min() < 0  # around the walls
 
@@ -158,14 +158,14 @@ class Fickle:
 
     def complete(self, observed, free, *, grid):
         self.asked += 1
-        now = Conservative() if self.asked // 4 % 2 else Returns()
+        now = Conservative() if self.asked // 4 % 2 else ReturnsCompleter()
         return now.complete(observed, free, grid=grid)
 
 
 def test_robots_keep_their_way_when_beliefs_change():
     fickle, plain = (
         fly(COURSE.simulation(0), robot)
-        for robot in (MappingRobot(Fickle(), doubts=True), MappingRobot(Returns()))
+        for robot in (MappingRobot(Fickle(), doubts=True), MappingRobot(ReturnsCompleter()))
     )
     assert fickle.outcome == plain.outcome == "success"
     assert fickle.ratio < 1.05
@@ -179,7 +179,7 @@ def test_sampled_paths_repeat():
 
 
 def test_ranges_of_no_return_mark_nothing(flying):
-    observation, robot = flying.observe(), ready(MappingRobot(Returns()), flying)
+    observation, robot = flying.observe(), ready(MappingRobot(ReturnsCompleter()), flying)
     observation["ranges"][:], observation["ranges"][::2] = 0.0, np.nan
     robot.act(observation)
     assert not (robot.observed | robot.free).any()

@@ -11,13 +11,13 @@ import torch
 
 from lidarsim import Lidar
 from scenegen import Dataset, generate
-from scenegen.dataset.selection import Choice, choose, encode_selection
+from scenegen.dataset.selection import SelectionCriteria, choose, encode_selection
 from scenegen.model.api import train
 from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES
-from scenegen.model.training.data import load, views
-from scenegen.model.training.loop import origin
+from scenegen.model.training.data import load_batches, views
+from scenegen.model.training.loop import describe_origin
 from tests.model.conftest import COUNTS, make_dataset
 from tests.model.training.runs import maps_of
 from tests.model.training.test_symmetry import keys_of
@@ -41,7 +41,7 @@ def test_maps_are_all_samples_in_order(folders):
 
 def test_loader_workers_read_what_their_parent_does(folders):
     maps, batches = maps_of(folders), [[5, 1, 20], [23, 0, 7], [12, 13, 3]]
-    here, forked = (list(load(maps, batches, workers=n, pinned=False)) for n in (0, 3))
+    here, forked = (list(load_batches(maps, batches, workers=n, pinned=False)) for n in (0, 3))
     for batch, expected in zip(forked, here, strict=True):
         assert batch.keys() == {"observed", "occupancy", "tudf"}
         torch.testing.assert_close(batch, expected, rtol=0, atol=0)
@@ -52,7 +52,7 @@ def test_damage_is_named(folders, tmp_path, workers):
     copy = shutil.copytree(folders[0], tmp_path / "copy")
     with h5py.File(copy / "train-00000.h5", "r+") as file:
         file["occupancy"].id.write_direct_chunk((1, 0, 0, 0), b"not a chunk")
-    batches = load(maps_of([copy]), [[0], [1]], workers=workers, pinned=False)
+    batches = load_batches(maps_of([copy]), [[0], [1]], workers=workers, pinned=False)
     before = set(multiprocessing.active_children())
     gc.disable()  # what is left must not wait for the collector
     try:
@@ -63,8 +63,8 @@ def test_damage_is_named(folders, tmp_path, workers):
 
 
 def test_datasets_that_do_not_fit_are_refused(folders, tmp_path):
-    few, choice, dataset = tmp_path / "few.json", Choice(most=2), Dataset(folders[0])
-    few.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
+    few, criteria, dataset = tmp_path / "few.json", SelectionCriteria(most=2), Dataset(folders[0])
+    few.write_bytes(encode_selection(dataset, choose(dataset, criteria), criteria, tmp_path))
     cases = {
         "none": [],
         "grid": [folders[0], make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})],
@@ -88,7 +88,7 @@ def test_worlds_for_testing_alone_are_refused(tmp_path):
 
 def test_sensors_and_mappings_may_differ(folders, tmp_path):
     few = make_dataset(tmp_path / "sensor", lidar={"rows": 4, "columns": 30}, mapping={"scans": 2})
-    about = origin(maps_of([folders[0], few]), "", torch.device("cpu"))
+    about = describe_origin(maps_of([folders[0], few]), "", torch.device("cpu"))
     for dataset in map(Dataset, (folders[0], few)):
         assert unlike("net", about, *dataset.settings[0]) == ""
     assert "another sensor" in unlike("net", about, Lidar(rows=5), *dataset.settings[0][1:])

@@ -9,9 +9,9 @@ import torch
 import scenegen
 from scenegen.base.errors import GenerationError, StoppedError
 from scenegen.model.training import loop
-from scenegen.model.training.course import Course
-from scenegen.model.training.data import Maps, load, opened
+from scenegen.model.training.data import Maps, load_batches, opened
 from scenegen.model.training.loop import Watcher
+from scenegen.model.training.schedule import Schedule
 from scenegen.streams.mixture import Component
 from tests.conftest import remembered, small_recipe
 from tests.model.training.runs import SMALL, check_same, small
@@ -47,13 +47,13 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path, monkeypatc
 def test_maps_are_the_streams_each_once_and_turned_by_seed():
     stream = streamed()
     maps = Maps([stream], "train")
-    course = Course(maps, CONFIG)
-    batches = list(course.batches(0, 48))
-    assert list(course.batches(5, 3)) == batches[5:8]
+    schedule = Schedule(maps, CONFIG)
+    batches = list(schedule.batches(0, 48))
+    assert list(schedule.batches(5, 3)) == batches[5:8]
     seen = [index for batch in batches for index, _ in batch]
     assert sorted(seen) == list(range(4 * 48))
     assert len({turn for batch in batches for _, turn in batch}) == 8
-    assert list(Course(maps, small(maps=24, interval=8, seed=1)).batches(0, 48)) != batches
+    assert list(Schedule(maps, small(maps=24, interval=8, seed=1)).batches(0, 48)) != batches
     expected = torch.from_numpy(stream[seen[0]].occupancy)
     assert torch.equal(maps[seen[0], 0]["occupancy"], expected)
 
@@ -69,8 +69,8 @@ def test_no_loader_process_draws_what_another_draws(workers, tmp_path, monkeypat
 
     monkeypatch.setattr(Component, "draw", draw)
     maps = Maps([streamed()], "train")
-    batches = list(Course(maps, CONFIG).batches(3, 20))
-    read = load(maps, batches, workers=workers, pinned=False)
+    batches = list(Schedule(maps, CONFIG).batches(3, 20))
+    read = load_batches(maps, batches, workers=workers, pinned=False)
     assert sum(len(one["occupancy"]) for one in read) == 80
     drawn = [path.name.split() for path in tmp_path.iterdir()]
     assert len({(kind, unit) for kind, unit, _ in drawn}) == len(drawn)
@@ -79,14 +79,14 @@ def test_no_loader_process_draws_what_another_draws(workers, tmp_path, monkeypat
 
 def test_unfit_streams_are_refused(folders, monkeypatch):
     maps = Maps([streamed()], "train")
-    refuses("endless", Course, maps, SMALL)
+    refuses("endless", Schedule, maps, SMALL)
     mixed = Maps([streamed(), *opened(folders[:1], "train")], "train")
-    refuses("with a dataset", Course, mixed, CONFIG)
+    refuses("with a dataset", Schedule, mixed, CONFIG)
 
     def hopeless(component, unit):
         raise GenerationError("train world 0: all draws rejected")
 
     monkeypatch.setattr(Component, "draw", hopeless)
     for workers in (0, 1):
-        batches = load(maps, [[0]], workers=workers, pinned=False)
+        batches = load_batches(maps, [[0]], workers=workers, pinned=False)
         refuses(workers, list, batches)

@@ -17,8 +17,8 @@ from scenegen.dataset.selection import (
     DIGEST_BYTES,
     MEASURES,
     SIGNS,
-    Choice,
     Condition,
+    SelectionCriteria,
     choose,
     encode_measures,
     encode_selection,
@@ -66,9 +66,9 @@ def folder(two_kinds, tmp_path):
 def written(folder, tmp_path):
     """The file of a selection of pillar's samples, whose dataset may be changed."""
     dataset = Dataset(folder / "pillar")
-    choice = Choice(splits=("train",), where=(Condition.of("viewpoint<2"),))
+    criteria = SelectionCriteria(splits=("train",), where=(Condition.of("viewpoint<2"),))
     file = tmp_path / "few.json"
-    file.write_bytes(encode_selection(dataset, choose(dataset, choice), choice, tmp_path))
+    file.write_bytes(encode_selection(dataset, choose(dataset, criteria), criteria, tmp_path))
     return file
 
 
@@ -77,26 +77,26 @@ def lists(numbers):
 
 
 def with_conditions(*texts, **more):
-    return Choice(**more | {"where": tuple(map(Condition.of, texts))})
+    return SelectionCriteria(**more | {"where": tuple(map(Condition.of, texts))})
 
 
-def plain_loop(dataset, choice):
+def plain_loop(dataset, criteria):
     """What a loop over all samples takes."""
-    taken, worlds = {}, choice.worlds or ((0, 99),)
-    for name in choice.splits:
+    taken, worlds = {}, criteria.worlds or ((0, 99),)
+    for name in criteria.splits:
         split, numbers = dataset.split(name), []
         for number, sample in enumerate(split):
-            names = {it.name for it in choice.where} & MEASURES.keys()
+            names = {it.name for it in criteria.where} & MEASURES.keys()
             values = {name: MEASURES[name](sample) for name in names}
             values |= {"sample": number, "world": sample.world, "viewpoint": sample.viewpoint}
             kind = split.home(number).graded
             if (
-                kind in (choice.kinds or (kind,))
+                kind in (criteria.kinds or (kind,))
                 and any(first <= sample.world < stop for first, stop in worlds)
-                and all(SIGNS[it.sign](values[it.name], it.value) for it in choice.where)
+                and all(SIGNS[it.sign](values[it.name], it.value) for it in criteria.where)
             ):
                 numbers.append(number)
-        taken[name] = numbers[: choice.most]
+        taken[name] = numbers[: criteria.most]
     return taken
 
 
@@ -105,22 +105,22 @@ def plain_loop(dataset, choice):
 def test_what_is_chosen_is_what_a_plain_loop_takes(settings, name, request):
     dataset = open_data(request.getfixturevalue(name))
     assert bool(kept_measures(dataset)) == (name == "measured")
-    choice = with_conditions(*settings.get("where", ()), **settings)
-    expected = plain_loop(dataset, choice)
-    assert lists(choose(dataset, choice)) == expected
+    criteria = with_conditions(*settings.get("where", ()), **settings)
+    expected = plain_loop(dataset, criteria)
+    assert lists(choose(dataset, criteria)) == expected
     assert 0 < sum(map(len, expected.values())) < 2 * sum(COUNTS.values())
 
 
 def test_workers_choose_the_same(two_kinds):
-    dataset, choice = open_data(two_kinds), with_conditions("returned>0.3", "range_m<4.5", most=5)
-    assert lists(choose(dataset, choice, workers=2)) == lists(choose(dataset, choice))
+    dataset, criteria = open_data(two_kinds), with_conditions("returned>0.3", "range_m<4.5", most=5)
+    assert lists(choose(dataset, criteria, workers=2)) == lists(choose(dataset, criteria))
 
 
 def test_a_selection_reads_as_the_samples_that_were_chosen(two_kinds, tmp_path):
     dataset = open_data(two_kinds)
-    choice = with_conditions("occupied>=0.02", "sample<20", worlds=((1, 9),), most=3)
-    numbers = choose(dataset, choice)
-    (tmp_path / "s.json").write_bytes(encode_selection(dataset, numbers, choice, tmp_path))
+    criteria = with_conditions("occupied>=0.02", "sample<20", worlds=((1, 9),), most=3)
+    numbers = choose(dataset, criteria)
+    (tmp_path / "s.json").write_bytes(encode_selection(dataset, numbers, criteria, tmp_path))
     selection = open_data(tmp_path / "s.json")
     for split, chosen in numbers.items():
         every, names = samples_of(dataset, split), dataset.split(split).names
@@ -167,14 +167,14 @@ def test_the_command_writes_what_every_command_reads(two_kinds, tmp_path, capsys
 
 
 def test_means_over_a_world_are_chosen_by_where_measures_are_kept(two_kinds, measured):
-    choice = with_conditions("world_occupied>=0.02", splits=("train",))
-    refuses("not kept", choose, Dataset(two_kinds / "pillar"), choice)
+    criteria = with_conditions("world_occupied>=0.02", splits=("train",))
+    refuses("not kept", choose, Dataset(two_kinds / "pillar"), criteria)
     dataset, shares = Dataset(measured / "pillar"), {}
     samples = dataset.split("train")
     for sample in samples:
         shares.setdefault(sample.world, []).append(sample.occupancy.mean())
     expected = [n for n, sample in enumerate(samples) if np.mean(shares[sample.world]) >= 0.02]
-    assert choose(dataset, choice)["train"].tolist() == expected
+    assert choose(dataset, criteria)["train"].tolist() == expected
 
 
 @pytest.fixture

@@ -24,13 +24,13 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
 from scenegen.base.errors import DatasetError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
-from scenegen.fly.course import Course, Recording, log_of, read_recording, replay
+from scenegen.fly.course import Course, Recording, flight_log, read_recording, replay
 from scenegen.fly.loop import HOVER, fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded, progress
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, max_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Odometry, Simulation, bounded
-from scenegen.fly.suite import chosen_courses, frozen_courses, hidden_course, part_of
+from scenegen.fly.suite import chosen_courses, coverage_of, frozen_courses, hidden_course
 from scenegen.worlds import kinds as recipes
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.world import compile_world
@@ -576,7 +576,7 @@ HIDDEN_5, HIDDEN_7, HIDDEN_8 = (suite.track_name("drawn", number, None) for numb
 
 
 def part(courses, track="drawn", name="aerial-2"):
-    return part_of(entry_of(*((course, []) for course in courses), suite=name, track=track))
+    return coverage_of(entry_of(*((course, []) for course in courses), suite=name, track=track))
 
 
 def test_an_entry_keeps_to_its_suite():
@@ -655,5 +655,5 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
 def test_the_log_of_a_flight_has_true_poses():
     course = replace(pillars(1), rules=Rules(drift_m=5.0, drift_deg=20.0))
     flown = fly(course.simulation(0), straight())
-    positions = [scan.pose.position for scan in log_of(course, 0, flown)]
+    positions = [scan.pose.position for scan in flight_log(course, 0, flown)]
     assert_allclose(positions, flown.path[:-1], atol=1e-12)

@@ -11,7 +11,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.sensors.catalogue import HELIOS_16P, MID_360, VLP_16
 from lidarsim.sensors.device import angles_deg
 from scenegen.logs.against import RANGES_M, measure
-from scenegen.view.stills import draw_unit
+from scenegen.view.stills import draw_sensor_unit
 from scenegen.worlds.clouds import Cloud, read_cloud
 from scenegen.worlds.tables import named_lidar
 from tests.command_line import ROOT, done
@@ -138,7 +138,7 @@ def test_a_field_ring_is_read(tmp_path):
 
 def test_a_picture_has_beams_ranges_and_noise():
     unit = measure([cloud(sigma_m=0.01)], VLP_16)
-    beams, returns, noise = draw_unit(unit).axes
+    beams, returns, noise = draw_sensor_unit(unit).axes
     assert_allclose(beams.lines[0].get_xydata().T, [unit.elevations_deg, unit.off_deg])
     assert sum(bar.get_height() for bar in returns.patches) == len(unit.ranges_m)
     assert len(noise.lines[0].get_xydata()) == len(unit.planes)

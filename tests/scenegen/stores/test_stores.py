@@ -20,7 +20,7 @@ from lidarsim import BeamTable
 from scenegen import load
 from scenegen.base import stores
 from scenegen.base.errors import StoreError
-from scenegen.base.stores import ConflictError, Store, place_of
+from scenegen.base.stores import ConflictError, Store, location_of
 from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
@@ -64,12 +64,12 @@ IMPOSSIBLE = "s3:///x s3://b//x s3://b/../x s3://B/x s3:/bucket/x s3://AKIA:secr
 
 @pytest.mark.parametrize("name", [*IMPOSSIBLE.split(), "s3://b/x\n", "s3://" + "b" * 2000])
 def test_a_name_that_cannot_be_is_refused(name):
-    assert "secret" not in refuses(name[:40], place_of, name)
+    assert "secret" not in refuses(name[:40], location_of, name)
 
 
 def test_a_store_travels_by_its_name():
     assert str(pickle.loads(pickle.dumps(Store("s3://lab/a/b/")))) == "s3://lab/a/b"
-    assert place_of("a/b") == Path("a/b")
+    assert location_of("a/b") == Path("a/b")
 
 
 def test_what_others_put_is_never_replaced_unread(store):

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.view.live import view_live
-from scenegen.view.look import Guess, Look, Route
+from scenegen.view.look import Guess, Look, PlannedPath
 from scenegen.view.page import page
 from tests.command_line import beside
 from tests.scenegen.test_moving_samples import moving as moving  # a fixture
@@ -104,7 +104,7 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
     def guesses(samples, index):
         sample = samples[index]
         ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
-        route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
+        route = PlannedPath(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
     with served(dataset, made, index=2, guesses=guesses, methods=(HOSTILE,)) as server:
@@ -176,7 +176,7 @@ def film(tmp_path):
         seen = np.zeros(grid.shape, bool)
         seen[: n + 1, :, 0] = True
         way = np.array([[1.0, 1.0, 1.0], [1.0 + n, 1.5, 1.0]])
-        route = Route(start=way[0], goal=way[1], points=way, told="under way")
+        route = PlannedPath(start=way[0], goal=way[1], points=way, told="under way")
         look = Look(
             name=f"{n}.0 s",
             grid=grid,

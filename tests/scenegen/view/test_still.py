@@ -10,7 +10,7 @@ from matplotlib.path import Path as Outline
 from scenegen.base.errors import ScenegenError
 from scenegen.view.blocks import EYE, RIGHT, project, visible_faces
 from scenegen.view.canvas import Paper
-from scenegen.view.look import Guess, Route
+from scenegen.view.look import Guess, PlannedPath
 from scenegen.view.stills import VEIL, draw
 from tests.command_line import ROOT, done, refused
 from tests.refusals import refuses
@@ -80,7 +80,7 @@ def predicted(look):
     occupied[:, :, occupied.shape[2] // 2 :] = False
     occupied[-4:, :4, -4:] = True
     ends = np.add(look.origin, [[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
-    route = Route(start=ends[0], goal=ends[1], points=ends, told="", hit=ends[1])
+    route = PlannedPath(start=ends[0], goal=ends[1], points=ends, told="", hit=ends[1])
     occ = Guess(name="occ", occupied=occupied, tudf=np.zeros_like(look.tudf), route=route)
     own = replace(occ, name="$own$", route=replace(route, points=np.add(ends, [0, 0, 1])))
     return replace(look, guesses=(occ, own))

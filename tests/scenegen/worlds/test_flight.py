@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.solids import solids_of
 from scenegen.worlds.clearance import Clearance
-from scenegen.worlds.flight import Flight, fly, viewpoints
+from scenegen.worlds.flight import FlightConfig, plan_flight, viewpoints
 from tests.refusals import refuses
 from tests.scenegen.truth.reference import Shape, world_of
 
 BOUNDS = np.array([[1.0, 1.0, 0.5], [15.0, 13.0, 3.5]])
-FLIGHT = Flight(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1000)
+FLIGHT = FlightConfig(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1000)
 DIAGONAL_M = float(np.linalg.norm(BOUNDS[1] - BOUNDS[0]))
 
 
@@ -32,7 +32,7 @@ def forest(seed):
 def plan(clearance, flight, seed):
     """A path within the bounds of a world with this clearance."""
     world = SimpleNamespace(clearance=clearance, room=lambda *_, rng: BOUNDS)
-    return fly(world, flight, rng=np.random.default_rng(seed))
+    return plan_flight(world, flight, rng=np.random.default_rng(seed))
 
 
 def test_flights_keep_clearance_bounds_and_step():
@@ -93,18 +93,18 @@ def test_viewpoints_lie_on_the_path(spacing):
     assert len(orders) == 20
 
 
-BAD = itertools.product(Flight.__dataclass_fields__, (-1e9, math.nan, True, (3.0, 1.0)))
+BAD = itertools.product(FlightConfig.__dataclass_fields__, (-1e9, math.nan, True, (3.0, 1.0)))
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [*BAD, ("altitude_m", (2.0, 2.0)), ("robot_radius_m", 1.0)]
 )
 def test_a_bad_value_is_named(name, value):
-    assert refuses(f"{name} {value}", Flight, **{name: value}).startswith(f"{name} = ")
+    assert refuses(f"{name} {value}", FlightConfig, **{name: value}).startswith(f"{name} = ")
 
 
 def test_margin_and_altitudes_bound_flights():
-    flight = Flight(margin_m=3.0, altitude_m=(1.0, 4.0))
+    flight = FlightConfig(margin_m=3.0, altitude_m=(1.0, 4.0))
     assert_array_equal(flight.bounds((20.0, 12.0, 9.0)), [[3, 3, 1], [17, 9, 4]])
     for size in ((6.0, 12.0, 9.0), (20.0, 5.9, 9.0)):
         refuses(size, flight.bounds, size)

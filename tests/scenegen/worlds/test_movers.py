@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import AnalyticEngine
-from lidarsim.movers import place as place_at
+from lidarsim.movers import find_piece
 from lidarsim.parameters import MAX_LENGTH_M
 from scenegen.draw.source import DrawnWorlds
 from scenegen.worlds.courses import TICK_S, from_stop_to_stop, without_stop
@@ -137,8 +137,8 @@ def test_a_course_that_begins_later_goes_the_same_way():
     course = from_stop_to_stop(SQUARE, 2.0, 1.5, 3.0, [0.0] * 4)
     later = course.begun_at(9001).table  # within a piece
     for time_s in np.arange(0, 22, 0.37):
-        expected = place_at(0, time_s + 9001 * TICK_S, course.table)[2:]
-        assert_allclose(place_at(0, time_s, later)[2:], expected, atol=1e-9)
+        expected = find_piece(0, time_s + 9001 * TICK_S, course.table)[2:]
+        assert_allclose(find_piece(0, time_s, later)[2:], expected, atol=1e-9)
 
 
 def test_movers_do_not_stand_together(motion):

@@ -9,25 +9,25 @@ import torch
 from scenegen.model.checkpoint import load_network, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training import loop
-from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
 from scenegen.model.training.run_folder import Progress
+from scenegen.model.training.schedule import Schedule
 from tests.model.training.runs import SMALL, Counted, small, train
 from tests.refusals import refuses
 
 TINY = {"network": NetworkConfig(width=1, heads=1, variant="occ"), "batch": 12}
 
 
-def course(count=80, **settings):
-    return Course(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]
+def schedule_of(count=80, **settings):
+    return Schedule(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]
 
 
-def rates(course, decay=None):
-    return [course.rate(step, decay) for step in range(course.end(decay))]
+def rates(schedule, decay=None):
+    return [schedule.rate(step, decay) for step in range(schedule.end(decay))]
 
 
 def test_constant_rates_end_where_validation_stalls():
-    steady = course(lr=2.0, epochs=10, patience=3, schedule="constant")
+    steady = schedule_of(lr=2.0, epochs=10, patience=3, schedule="constant")
     assert set(rates(steady)) == {2.0}
     rows = [{"val_loss": loss} for loss in (1.0, 0.5, 0.6, 0.6, 0.6)]
     rounds = [steady.steps(Progress(rows=rows[:n])) for n in (4, 5)]
@@ -36,7 +36,7 @@ def test_constant_rates_end_where_validation_stalls():
 
 @pytest.mark.parametrize("decay", [None, 1, 79])
 def test_a_decay_is_linear_wherever_it_begins(decay):
-    decaying = course(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
+    decaying = schedule_of(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
     actual = rates(decaying, decay)
     begin = 80 if decay is None else decay
     assert decaying.latest_decay == 80
@@ -48,12 +48,12 @@ def test_a_decay_is_linear_wherever_it_begins(decay):
 
 def test_a_budget_in_maps_replaces_passes():
     budgets = {"epochs": 3}, {"epochs": 3, "maps": 480}, {"maps": 3}, {"count": 5, "maps": 100}
-    assert [course(**budget).end(None) for budget in budgets] == [30, 60, 1, 20]
+    assert [schedule_of(**budget).end(None) for budget in budgets] == [30, 60, 1, 20]
 
 
 @pytest.mark.parametrize("interval", [None, 24, 200])
 def test_rounds_see_one_pass_after_another(interval):
-    run = course(count=83, maps=400, interval=interval)
+    run = schedule_of(count=83, maps=400, interval=interval)
     passes = [list(epoch_batches(Counted(83), TrainConfig(), epoch)) for epoch in range(5)]
     expected = list(itertools.chain(*passes))
     rounds = [run.batches(first, min(run.round, 50 - first)) for first in range(0, 50, run.round)]

@@ -1,4 +1,4 @@
-"""The course of a run: its steps, learning rates and rounds, and validation."""
+"""The schedule of a run: its steps, learning rates and rounds, and validation."""
 
 import itertools
 import math
@@ -24,7 +24,7 @@ from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.targets import Target
 from scenegen.model.training.card import Scalars
-from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
+from scenegen.model.training.data import Key, Maps, epoch_batches, load_batches, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
 
@@ -64,7 +64,7 @@ def validate(
     metrics = validated_metrics(targets)
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     # closed at once, also after an error: loader processes would outlive it
-    with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
+    with closing(load_batches(maps, mine, workers=workers, pinned=False)) as loaded:
         for batch in loaded:
             placed = {name: values.to(group.device) for name, values in batch.items()}
             count = len(placed["tudf"])
@@ -134,7 +134,7 @@ STREAM_INTERVAL = 5000
 """Maps of a stream between two validations, unless `TrainConfig.interval` is set."""
 
 
-class Course:
+class Schedule:
     """All steps of a run, numbered from 0: their learning rates and batches.
 
     A *round* is the steps between two validations: a pass over the maps, or `STREAM_INTERVAL` maps
