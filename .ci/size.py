@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 342_500, "benchmarks": 54_000, "tests": 215_200}
+TOKENS = {"product": 342_700, "benchmarks": 54_000, "tests": 215_200}
 FILES = 236
 LINES = 400
 """Lines of the longest file of product code, without docstrings, comments and blank lines: what

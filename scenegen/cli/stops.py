@@ -15,7 +15,7 @@ from scenegen.base.executors import undo_all
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that stop a command."""
-STOPPED = "stopped; nothing finished is lost: give the same command again"
+STOPPED = "stopped; finished files are kept: give the same command again"
 """Line of a stopped command."""
 CODE = 130
 """Exit code of a stopped command, as shells have it for Ctrl-C."""

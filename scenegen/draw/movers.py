@@ -111,8 +111,8 @@ def _tables(movers: Movers, begin_s: float, end_s: float) -> dict[str, Any]:
     counts = np.diff(part.piece_start)
     if (counts > MAX_PIECES).any():
         raise GenerationError(
-            f"a mover's course has {counts.max()} pieces from the earliest scan to "
-            f"movers.after_s = {end_s - begin_s:g} s later, and a sample stores {MAX_PIECES}; "
+            f"a mover's course has {counts.max()} pieces in the {end_s - begin_s:g} s from the "
+            f"earliest scan to movers.after_s after the last, and a sample stores {MAX_PIECES}; "
             "lower after_s or the number of scans, or raise sensor_mps"
         )
     owner = np.repeat(np.arange(len(part)), counts)

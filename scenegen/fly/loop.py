@@ -80,11 +80,11 @@ class Flown:
     """Mean wall-clock time of a decision, seconds."""
     most_step_s: float
     """Maximum of that time, seconds."""
-    late: int
+    late: int = number(minimum=0)
     """Decisions that took longer than a period."""
-    invalid: int
+    invalid: int = number(minimum=0)
     """Answers that were not an action: NaN, or of another shape."""
-    speeding: int
+    speeding: int = number(minimum=0)
     """Answers beyond the vehicle's bounds, which were clipped."""
     digest: str
     """SHA-256 of all ranges and states."""

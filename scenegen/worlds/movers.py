@@ -549,13 +549,21 @@ def fault_of(movers: Movers) -> str:
         return f"expected 1 to {MAX_SOLIDS} boxes, capsules or ellipsoids and a course for each"
     if not np.isin(movers.kind, np.arange(1, len(KINDS) + 1)).all():
         return f"expected kinds from 1 to {len(KINDS)}"
-    rising = np.diff(movers.begin_s) > 0
-    # from the last piece of a mover to the first of the next, times fall
-    rising[movers.piece_start[1:-1] - 1] = True
-    starts = movers.begin_s[movers.piece_start[:-1]]
-    if not rising.all() or (math.isfinite(movers.period_s) and starts.any()):
-        return "expected pieces that rise, from 0 on where they repeat"
+    # the piece after each; after a mover's last one comes its first, a period later
+    first, last = movers.piece_start[:-1], movers.piece_start[1:] - 1
+    following = np.arange(1, len(movers.begin_s) + 1)
+    following[last] = first
+    lasting = movers.begin_s[following] - movers.begin_s
+    lasting[last] += movers.period_s
+    repeats = math.isfinite(movers.period_s)
+    if not (lasting > 0).all() or (repeats and movers.begin_s[first].any()):
+        return "expected pieces that rise, where they repeat from 0 on to the end of the period"
     # kernels look for the greatest speed at the ends of a piece: right up to the second degree
     if movers.course[:, :3, 3].any() or not (heading_lengths(movers) >= LEAST_HEADING).all():
         return f"expected places of second degree, and headings of a length of {LEAST_HEADING:g}"
+    ends = lasting < math.inf
+    start, linear, square, cube = np.moveaxis(movers.course[ends], 2, 0)
+    time_s, begin = lasting[ends, None], movers.course[following[ends], :, 0]
+    if (np.abs(start + time_s * (linear + time_s * (square + time_s * cube)) - begin) > 1e-6).any():
+        return "expected courses without jumps"
     return ""

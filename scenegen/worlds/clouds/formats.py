@@ -423,7 +423,9 @@ def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> C
     Raises:
         ValueError: If the size is no multiple of a point's.
     """
-    values = np.frombuffer(content, "<f4", len(content) // 4)
+    if len(content) % 4:
+        raise ValueError(f"{len(content)} bytes, no multiple of 4: cut off, or no float32")
+    values = np.frombuffer(content, "<f4")
     count = columns or fitting_columns(values, usual)
     if len(content) % (4 * count):
         raise ValueError(f"{len(content)} bytes, no multiple of {count} float32; {HELP}")

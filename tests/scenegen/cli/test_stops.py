@@ -158,7 +158,7 @@ def test_a_stopped_run_leaves_no_process_and_whole_files(number, small, tmp_path
     wait_for(lambda: descendants(process.pid) == [], 10)
     if number != signal.SIGKILL:
         assert process.returncode == 130
-        assert "nothing finished is lost" in error
+        assert "finished files are kept" in error
         assert "Traceback" not in error
         assert not list(out.glob(".*.tmp"))
     for path in out.glob("*.h5"):
