@@ -426,7 +426,7 @@ def variations(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
 
 def seeds(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
     """How networks of other training seeds differ, in the same worlds."""
-    if "seeds" not in runs:
+    if not {*SEEDS} <= runs.get("seeds", {}).keys():
         return []
     flights = {**runs["seeds"], **{name: some(runs["drawn"][name]) for name in PAIR}}
     pairs = [*product(SEEDS, PAIR), SEEDS[::-1]]
