@@ -116,6 +116,7 @@ RUNS: dict[str, Run] = {
     },
     **VARIED,
     "seeds": Run(SEEDS, some=True),
+    "seeds, unseen": Run(SEEDS, "unseen"),
 }
 
 
@@ -426,18 +427,21 @@ def variations(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
 
 def seeds(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
     """How networks of other training seeds differ, in the same worlds."""
-    if not {*SEEDS} <= runs.get("seeds", {}).keys():
-        return []
-    flights = {**runs["seeds"], **{name: some(runs["drawn"][name]) for name in PAIR}}
-    pairs = [*product(SEEDS, PAIR), SEEDS[::-1]]
-    rows = [
-        (
-            f"`{one}` less `{other}`",
-            [shown(gain(flights[one], flights[other], figure)) for figure in GAINS],
-        )
-        for one, other in pairs
-    ]
-    return titled("## Training seeds", GAINS, rows)
+    lines = []
+    for title, chosen in {"seeds": some, "seeds, unseen": dict}.items():
+        if {*SEEDS} <= (flights := runs.get(title, {})).keys():
+            usual = runs[RUNS[title].track]
+            flights = {**flights, **{name: chosen(usual[name]) for name in PAIR}}
+            pairs = [*product(SEEDS, PAIR), SEEDS[::-1]]
+            rows = [
+                (
+                    f"`{one}` less `{other}`",
+                    [shown(gain(flights[one], flights[other], figure)) for figure in GAINS],
+                )
+                for one, other in pairs
+            ]
+            lines += titled(f"## Training {title}", GAINS, rows)
+    return lines
 
 
 def tracks(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
