@@ -428,19 +428,21 @@ def variations(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
 def seeds(runs: Mapping[str, Mapping[str, Rows]]) -> list[str]:
     """How networks of other training seeds differ, in the same worlds."""
     lines = []
-    for title, chosen in {"seeds": some, "seeds, unseen": dict}.items():
+    for title in ("seeds", "seeds, unseen"):
         if {*SEEDS} <= (flights := runs.get(title, {})).keys():
-            usual = runs[RUNS[title].track]
-            flights = {**flights, **{name: chosen(usual[name]) for name in PAIR}}
+            usual = {name: runs[RUNS[title].track][name] for name in PAIR}
+            if RUNS[title].some:
+                usual = {name: some(rows) for name, rows in usual.items()}
+            flights = {**flights, **usual}
             pairs = [*product(SEEDS, PAIR), SEEDS[::-1]]
-            rows = [
+            cells = [
                 (
                     f"`{one}` less `{other}`",
                     [shown(gain(flights[one], flights[other], figure)) for figure in GAINS],
                 )
                 for one, other in pairs
             ]
-            lines += titled(f"## Training {title}", GAINS, rows)
+            lines += titled(f"## Training {title}", GAINS, cells)
     return lines
 
 
