@@ -30,7 +30,7 @@ from scenegen.dataset.generation import plan_generation
 STAGES = {
     "draw world, write MJCF, compile": "scenegen.draw.source.write_world",
     "  of which compile, read solids": "scenegen.worlds.world.compile_world",
-    "plan flight": "scenegen.draw.draw.fly",
+    "plan flight": "scenegen.draw.draw.plan_flight",
     "  of which RRT": "scenegen.worlds.flight.connect",
     "make engine": "scenegen.worlds.world.World.caster",
     "cast rays": "scenegen.draw.draw.cast",
